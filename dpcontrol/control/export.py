@@ -255,17 +255,17 @@ def _function(program: TickProgram, equations: TickEquations, tables: _Tables) -
     switch, age = ca.SX.sym("limit_switch"), ca.SX.sym("age")
     acts, now = ca.SX.sym("acts", len(tables.columns)), ca.SX.sym("now", size)
     entries, first = [ca.SX(value) for value in tables.constants.tolist()], equations.row.slices.state.start
-    wanted = [now[i] if tables.varying[first + i] else entries[first + i] for i in range(n)]
+    reference_angles = [now[i] if tables.varying[first + i] else entries[first + i] for i in range(n)]
     for place, column in enumerate(tables.columns.tolist()):
         if tables.varying[column]:
             entries[column] = acts[place]
-    row = ca.vertcat(*entries, *wanted)
+    table_row = ca.vertcat(*entries, *reference_angles)
     # Values that only a fallback changes are constant.
     parts = parts._replace(held=ca.SX(0))
     offset = ca.SX.sym("offset", n + 1)
     reading = equations.reading.joined(Measurement(measured, present, switch, age, ca.SX.zeros(n), offset))
     numbers = ca.SX(ca.DM(program.constants))
-    (result,) = equations.function().call([reading, row, numbers, equations.memory.joined(parts)], True, False)
+    (result,) = equations.function().call([reading, table_row, numbers, equations.memory.joined(parts)], True, False)
     inputs = [memory, measured, present, offset, switch, age, acts, now]
     return ca.Function("tick", inputs, [ca.cse(result)], [*_ARGUMENTS], ["out"], {"cse": True})
 

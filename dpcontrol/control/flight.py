@@ -574,7 +574,7 @@ class _FlightStep:
         In the formulas, q_… are derivatives of the step's cost plus the value at its end, by the state z and by the
         input u. An input at its limit has zero gains.
         """
-        z, u, most = self.moving, self.input, self.terms[0]
+        z, u, largest = self.moving, self.input, self.terms[0]
         size = z.shape[0]
         h, n = z[size - 1], size - 1
         gradient, hessian = ca.SX.sym("gradient", size), ca.SX.sym("hessian", size, size)
@@ -590,7 +590,7 @@ class _FlightStep:
         q_uz = pushed @ by_state + ca.horzcat(ca.SX.zeros(1, n), _EFFORT * u)
         q_uu = h * _EFFORT + ca.fmax(pushed @ by_input, 0) + regularity
         free = -q_u / q_uu
-        change = ca.fmax(-most - u, ca.fmin(most - u, free))
+        change = ca.fmax(-largest - u, ca.fmin(largest - u, free))
         gains = ca.if_else(change == free, -q_uz / q_uu, ca.SX.zeros(1, size)).T
         new_gradient = q_z + gains @ (q_uu @ change + q_u) + q_uz.T @ change
         new_hessian = q_zz + q_uu * gains @ gains.T + gains @ q_uz + q_uz.T @ gains.T
@@ -603,7 +603,10 @@ class _FlightStep:
 
 
 def _step(equations: Equations) -> _FlightStep:
-    """Return the symbolic step of a motion, with its part of J."""
+    """Return one Runge-Kutta step of a motion as expressions, with its part of J, from which iLQR's functions are made.
+
+    `equations`: cart-level equations of the arms.
+    """
     n, x, u, p = equations.dimension, equations.state, equations.inputs, equations.parameters
     h, soft, terms, slope = ca.SX.sym("step"), ca.SX.sym("soft"), ca.SX.sym("terms", 4), equations.function()
     excess = ca.vertcat(

@@ -53,6 +53,7 @@ class SymbolicLaw:
         memory: int = 0,
         first: Sequence[float] | None = None,
     ) -> None:
+        """Check and keep the function, with the first values of its memory; arguments see the class."""
         self.__name__ = getattr(function, "__name__", type(function).__name__)
         if not callable(function):
             raise InputError(f"controller: {function!r} is not a function(state, reference, memory, parameters)")

@@ -324,10 +324,10 @@ class TickEquations:
         At this tick: wanted (n,), the reference's angles.
         """
         size = self.filter.equations.dimension
-        m, lag = sum(self.shares or ()), int(self.lags)
+        share_count, lag = sum(self.shares or ()), int(self.lags)
         return Layout(Row(
             feedforward=1, gains=size, state=size, drive=lag, drive_gain=lag, extra_gains=len(self.shares or ()),
-            pair_gains=m * (m + 1) // 2, own=int(self.own is not None), wanted=self.filter.arms,
+            pair_gains=share_count * (share_count + 1) // 2, own=int(self.own is not None), wanted=self.filter.arms,
         ))  # fmt: skip
 
     @cached_property
@@ -343,10 +343,10 @@ class TickEquations:
 
         With a belt: notch (5,), see `KnownMechanics.notch`.
         """
-        known, m = self.filter.inputs, self.filter.arms + 1
+        inputs, m = self.filter.inputs, self.filter.arms + 1
         return Layout(Numbers(
-            *[1] * Numbers._fields.index("noise"), noise=m * (m + 1) // 2, parameters=known["parameters"],
-            process=known["process"], fresh=self.filter.dimension, play=self.plays * (m - 1), moves=int(self.plays),
+            *[1] * Numbers._fields.index("noise"), noise=m * (m + 1) // 2, parameters=inputs["parameters"],
+            process=inputs["process"], fresh=self.filter.dimension, play=self.plays * (m - 1), moves=int(self.plays),
             notch=5 * self.shapes,
         ))  # fmt: skip
 
@@ -400,6 +400,8 @@ class TickEquations:
         They are the stored prediction. In a restart (m.restart = 1), z has the measured positions, the predicted rates
         within three standard deviations of a restart's, and extras of zero. Its variances are then `c.fresh`. If the
         state is split, z is relative to its origin.
+
+        `m`, `r`, `c`: memory, reading and constants of the tick.
         """
         n, size, origin = self.filter.arms, self.filter.dimension, self._origin(m)
         z, triangle, restarts = m.z, m.covariance, m.restart
@@ -434,6 +436,8 @@ class TickEquations:
         """Return the filter's estimate from prediction and reading, with the checks that a sound estimate passes.
 
         If the update is not finite or an angle has slipped by a turn, `sound` is 0 and z is the prediction.
+
+        `m`, `r`, `c`: memory, reading and constants of the tick.
         """
         n, size = self.filter.arms, self.filter.dimension
         # Values here are relative to the origin, if there is one, except rates.
@@ -493,7 +497,7 @@ class TickEquations:
         play to which it turns. Any other joint is at the filter's prediction inside the play, or at the nearest side.
         An angle is the sum of the joints inside it, so corrections of the joints add up along the chain.
 
-        apart (n+1,): readings minus predictions, rad and m.
+        `m`, `r`, `c`: memory, reading and constants of the tick. `apart` (n+1,): readings minus predictions, rad and m.
         """
         n = self.filter.arms
         chain_sums = ca.DM(np.tril(np.ones((n, n))))
@@ -519,9 +523,10 @@ class TickEquations:
         They are the estimates after this reading, stored as `timing`, `timed` and `lateness`. Without a sound estimate,
         they are unchanged.
 
-        aligned, weight: ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the apparent age of this innovation. Let a and b be the same
-        for time in periods. Then the log likelihood has the slope (a² - b) / 2 by the variance, and b² / 2 is the
-        information.
+        `m`: memory of the tick. `aligned`, `weight`: ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the apparent age of this
+        innovation y; ω are the rates and S is the innovation's covariance. Let a and b be the same for time in periods.
+        Then the log likelihood has the slope (a² - b) / 2 by the variance, and b² / 2 is the information.
+
         Source: the score of a Gaussian whose covariance is linear in one parameter.
         """
         period = self.filter.period
@@ -544,8 +549,8 @@ class TickEquations:
         The filter compares angles modulo a turn. If its rates diverge, its angle can slip by a turn without an
         innovation, but the encoders count turns. A new turn therefore shows a lost estimate.
 
-        apart (n+1,): readings minus predictions before angles are wrapped; innovation (n+1,): the same, wrapped. Both
-        rad and m.
+        `m`, `r`: memory and reading of the tick. `apart` (n+1,): readings minus predictions before angles are wrapped.
+        `innovation` (n+1,): the same, wrapped. Both are in rad and m.
         """
         n, restarts = self.filter.arms, m.restart
         apparent_turns = [ca.if_else(r.present[i], apart[i] - innovation[i], m.turns[i]) for i in range(n)]
@@ -560,7 +565,7 @@ class TickEquations:
         return ca.vertcat(*turns), all_of(any_of(*slipped), *continuous)
 
     def _origin(self, m: Memory) -> ca.SX:
-        """Return the origin of z, (N+E,), zero unless the state is split."""
+        """Return the origin of z, (N+E,), from the memory `m`; zero unless the state is split."""
         return ca.vertcat(m.origin, ca.SX(self.filter.dimension - m.origin.shape[0], 1))
 
     def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
@@ -570,7 +575,8 @@ class TickEquations:
         period. The drive keeps its velocity reference within its limit. If that already exceeds the limit, the drive
         returns it with at most its largest acceleration, see `DriveLimits.acting`.
 
-        command m/s²: that acts in the period. velocity m/s and drive m/s²: those of the cart at the period's begin.
+        `command` m/s²: acts in the period. `velocity` m/s and `drive` m/s²: velocity and acceleration of the cart at
+        its begin. `c`: constants of the run.
         """
         period, fastest = self.filter.period, c.velocity
         velocity_reference = velocity + c.lag * drive if self.lags else velocity
@@ -616,7 +622,8 @@ class TickEquations:
     def _by_own(self, m: Memory, row: Row, ahead: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the feedback of a user's law, m/s², and its next memory; without such a law, 0 and m.own.
 
-        ahead (N,): state at which the command acts. parameters (p,): base parameters of the model.
+        `m`, `row`: memory of the tick and row of the table. `ahead` (N,): state at which the command acts. `parameters`
+        (p,): base parameters of the model.
         """
         if self.own is None:
             return ca.SX(0), m.own
@@ -628,7 +635,7 @@ class TickEquations:
     def _finish(self, known: Known, *, predicts: bool) -> ca.SX:
         """Return the next memory and the report of a tick, joined to one vector, from its reading, row and estimate.
 
-        predicts: True if the filter's prediction for the next tick is included, False if another estimator replaces the
+        `predicts`: True to include the filter's prediction for the next tick, False if another estimator replaces the
         filter.
         """
         law = self._by_law(known)
@@ -641,10 +648,10 @@ class TickEquations:
 
     def _by_law(self, known: Known) -> _Law:
         """Return feedforward and feedback before limits, and the memory of a user's law."""
-        row, c, size = known.row, known.numbers, self.filter.equations.dimension
+        row, constants, size = known.row, known.numbers, self.filter.equations.dimension
         sensed, acts = known.sensed, known.acts
-        row_feedback, untrusted = self.law(row, acts.ahead, acts.drive, sensed.z[size:], c.trust)
-        own_feedback, own_memory = self._by_own(known.memory, row, acts.ahead, c.parameters)
+        row_feedback, untrusted = self.law(row, acts.ahead, acts.drive, sensed.z[size:], constants.trust)
+        own_feedback, own_memory = self._by_own(known.memory, row, acts.ahead, constants.parameters)
         feedback = acts.back + row_feedback + own_feedback
         sound = ca.logic_and(sensed.sound, finite(row.feedforward + feedback))
         return _Law(row.feedforward, feedback, sound, untrusted, own_feedback, own_memory)
@@ -654,24 +661,34 @@ class TickEquations:
 
         The NIS of a tick is divided by the number of measured positions, so its mean is about 1 for a right model.
         """
-        m, r, c, sensed, n, period = *known[:2], known.numbers, known.sensed, self.filter.arms, self.filter.period
+        memory, reading, constants, sensed, n, period = (
+            *known[:2],
+            known.numbers,
+            known.sensed,
+            self.filter.arms,
+            self.filter.period,
+        )
         has_reading = ca.logic_and(sensed.used > 0, sensed.sound)
         # A blow ends within a tick, and is not evidence of a lost estimate.
-        nis_per_position = ca.fmin(sensed.nis / ca.fmax(sensed.used, 1), _MOST_AT_ONCE * c.lost_estimate)
-        nis = m.nis + ca.if_else(has_reading, (nis_per_position - m.nis) * min(period / ESTIMATE_MEMORY, 1), 0)
-        strain_per_position = ca.fmin(sensed.strain / ca.fmax(sensed.used, 1), _MOST_AT_ONCE * c.lost_estimate)
-        strain = m.strain + ca.if_else(
-            has_reading, (strain_per_position - m.strain) * min(period / ESTIMATE_MEMORY, 1), 0
+        nis_per_position = ca.fmin(sensed.nis / ca.fmax(sensed.used, 1), _MOST_AT_ONCE * constants.lost_estimate)
+        nis = memory.nis + ca.if_else(
+            has_reading, (nis_per_position - memory.nis) * min(period / ESTIMATE_MEMORY, 1), 0
         )
-        silent = ca.if_else(r.present, 0, (m.silent + period) * ca.DM(self.measured))
+        strain_per_position = ca.fmin(sensed.strain / ca.fmax(sensed.used, 1), _MOST_AT_ONCE * constants.lost_estimate)
+        strain = memory.strain + ca.if_else(
+            has_reading, (strain_per_position - memory.strain) * min(period / ESTIMATE_MEMORY, 1), 0
+        )
+        silent = ca.if_else(reading.present, 0, (memory.silent + period) * ca.DM(self.measured))
         angles = [sensed.z[i] for i in range(n)]
         if predicts:
             # By the readings, which are right if the estimate is wrong. Another estimator's turns are unknown here.
-            angles = [ca.if_else(r.present[i], r.measured[i] - sensed.turns[i], angles[i]) for i in range(n)]
+            angles = [
+                ca.if_else(reading.present[i], reading.measured[i] - sensed.turns[i], angles[i]) for i in range(n)
+            ]
         distance = reduce(ca.fmax, [ca.fabs(angles[i] - known.row.wanted[i]) for i in range(n)])
-        blind = ca.logic_and(m.restart, ca.logic_not(sensed.used > 0))
+        blind = ca.logic_and(memory.restart, ca.logic_not(sensed.used > 0))
         comparable = ca.logic_and(sensed.sound, ca.logic_not(blind))
-        error = m.error + ca.if_else(comparable, (distance - m.error) * min(period / TRACKING_MEMORY, 1), 0)
+        error = memory.error + ca.if_else(comparable, (distance - memory.error) * min(period / TRACKING_MEMORY, 1), 0)
         return _Means(nis, strain, silent, distance, blind, error)
 
     def _verdict(self, known: Known, law: _Law, means: _Means, *, predicts: bool) -> _Verdict:
@@ -680,19 +697,23 @@ class TickEquations:
         A stuck sensor and a drive that is not followed are checked here as well, so the watch's memory is part of the
         result. Conditions are written so that NaN stops the run.
         """
-        m, c, sensed, n = known.memory, known.numbers, known.sensed, self.filter.arms
-        sound = all_of(law.finite, means.nis <= c.lost_estimate, finite(means.distance + ca.sum1(sensed.z[:n])))
+        memory, constants, sensed, n = known.memory, known.numbers, known.sensed, self.filter.arms
+        sound = all_of(law.finite, means.nis <= constants.lost_estimate, finite(means.distance + ca.sum1(sensed.z[:n])))
         lost = ca.logic_not(sound)
-        restarts = ca.logic_and(lost, m.restarts < c.restarts - 0.5)
-        leaves = self._farthest_reach(known) >= c.travel
+        restarts = ca.logic_and(lost, memory.restarts < constants.restarts - 0.5)
+        leaves = self._farthest_reach(known) >= constants.travel
         # A cart that follows fallen arms is not the cause of the ending.
-        fallen = ca.logic_and(leaves, means.distance > c.lost_tracking)
-        largest_error = ca.if_else(m.held, ca.fmax(c.lost_tracking, LOST_AFTER_FALLBACK), c.lost_tracking)
+        fallen = ca.logic_and(leaves, means.distance > constants.lost_tracking)
+        largest_error = ca.if_else(
+            memory.held, ca.fmax(constants.lost_tracking, LOST_AFTER_FALLBACK), constants.lost_tracking
+        )
         astray = means.error > largest_error
-        holds = all_of(astray, c.can_hold, ca.logic_not(m.held))
-        moves = all_of(c.resynchronise > 0, means.error > c.resynchronise, m.moved > TRACKING_MEMORY)
+        holds = all_of(astray, constants.can_hold, ca.logic_not(memory.held))
+        moves = all_of(
+            constants.resynchronise > 0, means.error > constants.resynchronise, memory.moved > TRACKING_MEMORY
+        )
         # Changes of angles and rates by the update, (2n,): a stuck encoder needs steady corrections.
-        corrections = (sensed.relative if self.split else sensed.z)[: 2 * n] - m.z[: 2 * n] if predicts else None
+        corrections = (sensed.relative if self.split else sensed.z)[: 2 * n] - memory.z[: 2 * n] if predicts else None
         stuck = self.watch.stuck(known, ca.if_else(restarts, 0, means.strain), corrections)
         drive, sensor, watch = self.watch.unfollowed(known, stuck)
         outcome = ca.SX(int(Outcome.GO_ON))
@@ -710,7 +731,7 @@ class TickEquations:
                     (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
                     (leaves, Outcome.CART),
                     (fallen, Outcome.FALLEN),
-                    (ca.mmax(means.silent) > c.missing, Outcome.SILENT),
+                    (ca.mmax(means.silent) > constants.missing, Outcome.SILENT),
                     (lost, Outcome.ESTIMATE_LOST),
                 )
             ),
@@ -718,8 +739,8 @@ class TickEquations:
             outcome = ca.if_else(condition, int(code), outcome)
         outcome = ca.if_else(drive > 0, drive, outcome)
         # A run that has been stopped keeps its first cause while the cart brakes.
-        outcome = ca.if_else(m.stopped > 0, int(Outcome.GO_ON), outcome)
-        stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m.stopped)
+        outcome = ca.if_else(memory.stopped > 0, int(Outcome.GO_ON), outcome)
+        stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, memory.stopped)
         return _Verdict(outcome, stopped, sensor, watch)
 
     def _farthest_reach(self, known: Known) -> ca.SX:
@@ -727,14 +748,18 @@ class TickEquations:
 
         `_verdict` compares it with the half length of the track. It includes the supervisor's margin.
         """
-        m, c, n = known.memory, known.numbers, self.filter.arms
-        position, velocity, sent = known.acts.ahead[2 * n], known.acts.ahead[2 * n + 1], m.velocity
+        memory, constants, n = known.memory, known.numbers, self.filter.arms
+        position, velocity, sent = known.acts.ahead[2 * n], known.acts.ahead[2 * n + 1], memory.velocity
         # The drive is no faster, whatever the estimate of a cart whose scale has just stuck.
-        velocity = ca.fmin(ca.fmax(velocity, -_FASTEST * c.velocity), _FASTEST * c.velocity)
+        velocity = ca.fmin(ca.fmax(velocity, -_FASTEST * constants.velocity), _FASTEST * constants.velocity)
         # A return, which has no margin, brings the cart back onto its track.
-        farthest = ca.fmax(ca.if_else(c.margin > 0, ca.fabs(position), 0), self._stopping_point(position, velocity, c))
+        farthest = ca.fmax(
+            ca.if_else(constants.margin > 0, ca.fabs(position), 0), self._stopping_point(position, velocity, constants)
+        )
         # Sent commands without an effect yet, for a lagging drive.
-        return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(position, m.heading, c), -BIG))
+        return ca.fmax(
+            farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(position, memory.heading, constants), -BIG)
+        )
 
     def _path(self, known: Known, law: _Law, verdict: _Verdict) -> _Path:
         """Return the command within the drive's limits, its parts, and the acceleration in the coming period.
@@ -742,8 +767,8 @@ class TickEquations:
         During a stop, the command brakes the cart to rest, and the law is ignored. `after` is the memory with the
         command among the pending ones.
         """
-        m, c, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
-        limit, top_speed, sent, stop = c.acceleration, c.velocity, m.velocity, verdict.stopped > 0
+        memory, constants, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
+        limit, top_speed, sent, stop = constants.acceleration, constants.velocity, memory.velocity, verdict.stopped > 0
         forward = ca.if_else(ca.logic_or(stop, ca.logic_not(law.finite)), 0, law.forward)
         feedback = ca.if_else(law.finite, law.feedback, 0)
         feedback = ca.if_else(stop, within(-sent / period, BRAKING * limit), feedback)
@@ -752,15 +777,15 @@ class TickEquations:
         velocity = within(sent + command * period, top_speed)
         # Braking to rest leaves a rounding error.
         velocity = ca.if_else(ca.fabs(velocity) > AT_REST, velocity, 0)
-        still = ca.if_else(all_of(m.stopped > 0, ca.logic_not(ca.fabs(sent) > 0)), m.still + period, 0)
-        queue, coming = m.sent, known.acts.coming
+        still = ca.if_else(all_of(memory.stopped > 0, ca.logic_not(ca.fabs(sent) > 0)), memory.still + period, 0)
+        queue, coming = memory.sent, known.acts.coming
         if coming is None:
-            queue = ca.vertcat(m.sent[1:], command)
-            coming = c.share * queue[0] + (1 - c.share) * queue[1]
+            queue = ca.vertcat(memory.sent[1:], command)
+            coming = constants.share * queue[0] + (1 - constants.share) * queue[1]
         velocity_index = self.filter.equations.dimension - 1
-        acting, drive_at_end = self._acting(coming, known.sensed.z[velocity_index], m.drive, c)
+        acting, drive_at_end = self._acting(coming, known.sensed.z[velocity_index], memory.drive, constants)
         saturated = ca.logic_or(ca.fabs(wish) > limit, ca.fabs(velocity) >= top_speed)
-        heading, cart_velocity = m.heading, known.acts.ahead[2 * n + 1]
+        heading, cart_velocity = memory.heading, known.acts.ahead[2 * n + 1]
         heading = within(heading + command * period + (cart_velocity - heading) * min(period / _LAGS, 1), top_speed)
         shaped, notch = self._shaped(known, command)
         after = verdict.watch._replace(
@@ -788,7 +813,7 @@ class TickEquations:
         self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path, *, predicts: bool
     ) -> Memory:
         """Return the memory for the next tick: that of the path, with prediction, means, verdict and watches."""
-        m, sensed, period = known.memory, known.sensed, self.filter.period
+        memory, sensed, period = known.memory, known.sensed, self.filter.period
         holds, restarts = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
         clock_moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
         z, covariance = self._predicted(known, means, path.acting, predicts=predicts)
@@ -796,10 +821,10 @@ class TickEquations:
             z=z, covariance=covariance, turns=sensed.turns, timing=sensed.timing, timed=sensed.timed,
             lateness=sensed.lateness, strain=means.strain, error=ca.if_else(holds, 0, means.error),
             nis=ca.if_else(restarts, 0, means.nis), silent=means.silent,
-            restarts=m.restarts * (1 - min(period / RESTART_MEMORY, 1)) + restarts,
-            held=ca.if_else(holds, 1, m.held), moved=ca.if_else(clock_moved, 0, m.moved + period),
+            restarts=memory.restarts * (1 - min(period / RESTART_MEMORY, 1)) + restarts,
+            held=ca.if_else(holds, 1, memory.held), moved=ca.if_else(clock_moved, 0, memory.moved + period),
             restart=ca.logic_or(restarts, means.blind), stopped=verdict.stopped, acted=path.acting,
-            cut=path.saturated, was_untrusted=ca.logic_or(m.was_untrusted, law.untrusted > 0), own=law.own,
+            cut=path.saturated, was_untrusted=ca.logic_or(memory.was_untrusted, law.untrusted > 0), own=law.own,
             drive_watch=self.watch.expected_arms(known, verdict.watch.drive_watch, path.acting), mark=sensed.mark,
         )  # fmt: skip
 
@@ -807,16 +832,19 @@ class TickEquations:
         """Return the filter's prediction z (N+E,) for the next reading, and its covariance packed.
 
         Without `predicts`, the memory's values are returned unchanged, since another estimator replaces the filter.
-        acting: mean acceleration of the cart in the coming period, m/s².
+
+        `acting`: mean acceleration of the cart in the coming period, m/s².
         """
-        m, c, sensed = known.memory, known.numbers, known.sensed
+        memory, constants, sensed = known.memory, known.numbers, known.sensed
         if not predicts:
-            return m.z, m.covariance
-        start, origin = (sensed.relative, self._origin(m)) if self.split else (sensed.z, None)
+            return memory.z, memory.covariance
+        start, origin = (sensed.relative, self._origin(memory)) if self.split else (sensed.z, None)
         covariance = unpack(sensed.covariance, self.filter.dimension)
-        noise_inputs = self.filter.noise_inputs(covariance, acting - m.acted, means.nis)
+        noise_inputs = self.filter.noise_inputs(covariance, acting - memory.acted, means.nis)
         predicted = self.filter.predicted
-        following, jacobian, noise = predicted(start, acting, c.parameters, c.process, noise_inputs, origin)
+        following, jacobian, noise = predicted(
+            start, acting, constants.parameters, constants.process, noise_inputs, origin
+        )
         return following, propagated(jacobian, covariance, noise)
 
     def _report(self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path) -> Report:
@@ -824,9 +852,9 @@ class TickEquations:
 
         Errors of parameters, which z has as logarithms, are relative in the report.
         """
-        m, sensed, size, stop = known.memory, known.sensed, self.filter.equations.dimension, verdict.stopped > 0
-        newly_cut = ca.logic_and(path.saturated, ca.logic_not(m.cut))
-        newly_untrusted = ca.if_else(m.was_untrusted, 0, law.untrusted)
+        memory, sensed, size, stop = known.memory, known.sensed, self.filter.equations.dimension, verdict.stopped > 0
+        newly_cut = ca.logic_and(path.saturated, ca.logic_not(memory.cut))
+        newly_untrusted = ca.if_else(memory.was_untrusted, 0, law.untrusted)
         repeats = ca.SX(0)
         for i in range(self.filter.arms + 1):
             repeats = ca.if_else(ca.eq(verdict.sensor, i + 1), verdict.watch.same[i], repeats)
@@ -851,7 +879,8 @@ class TickEquations:
 
         It is negative on the side of its start, and includes the margin.
 
-        position m, velocity m/s: of the cart when braking is commanded. `c.onset` passes until it acts.
+        `position` m, `velocity` m/s: of the cart when braking is commanded. `c`: constants of the run, of which c.onset
+        passes until braking acts.
         """
         reached = position + velocity * c.onset
         return ca.if_else(velocity < 0, -reached, reached) + velocity * velocity / c.brake + c.margin
@@ -860,20 +889,28 @@ class TickEquations:
 
     def function(self) -> ca.Function:
         """Return the whole tick: (reading, row, numbers, memory) -> memory and report."""
-        (reading, r), (row, row_parts), (numbers, c), (memory, m) = self._symbols()
-        sensed = self._sense(m, r, c)
-        z, drive = sensed.z, m.drive
-        for command in pending_commands(m.sent, c.share, whole=self.whole, lead=self.lead):
-            z, drive = self._moved(z, drive, command, c)
+        (reading, reading_parts), (row, row_parts), (numbers, constants), (memory, memory_parts) = self._symbols()
+        sensed = self._sense(memory_parts, reading_parts, constants)
+        z, drive = sensed.z, memory_parts.drive
+        for command in pending_commands(memory_parts.sent, constants.share, whole=self.whole, lead=self.lead):
+            z, drive = self._moved(z, drive, command, constants)
         result = self._finish(
-            Known(m, r, row_parts, c, sensed, _Acts(self._seen(z, r), drive, ca.SX(0), None)), predicts=True
+            Known(
+                memory_parts,
+                reading_parts,
+                row_parts,
+                constants,
+                sensed,
+                _Acts(self._seen(z, reading_parts), drive, ca.SX(0), None),
+            ),
+            predicts=True,
         )
         return _function("tick", {"reading": reading, "row": row, "numbers": numbers, "memory": memory}, result)
 
     def sense(self) -> ca.Function:
         """Return the first part of a split tick, the filter's update: (memory, reading, numbers) -> `sensed`."""
-        (reading, r), _, (numbers, c), (memory, m) = self._symbols()
-        result = self.sensed.joined(self._sense(m, r, c))
+        (reading, reading_parts), _, (numbers, constants), (memory, memory_parts) = self._symbols()
+        result = self.sensed.joined(self._sense(memory_parts, reading_parts, constants))
         return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, result)
 
     def moved(self) -> ca.Function:
@@ -882,8 +919,8 @@ class TickEquations:
         (z, drive, command, numbers) -> the next z, then the next drive.
         """
         z, drive, command = ca.SX.sym("z", self.filter.dimension), ca.SX.sym("drive"), ca.SX.sym("command")
-        numbers, c = self.numbers.symbols("numbers")
-        result = ca.vertcat(*self._moved(z, drive, command, c))
+        numbers, constants = self.numbers.symbols("numbers")
+        result = ca.vertcat(*self._moved(z, drive, command, constants))
         return _function("moved", {"z": z, "drive": drive, "command": command, "numbers": numbers}, result)
 
     def finish(self, *, predicts: bool) -> ca.Function:
@@ -898,13 +935,16 @@ class TickEquations:
         Args:
             predicts: True to predict the next state, False to keep the filter's memory.
         """
-        (reading, r), (row, row_parts), (numbers, c), (memory, m) = self._symbols()
+        (reading, reading_parts), (row, row_parts), (numbers, constants), (memory, memory_parts) = self._symbols()
         sensed, sensed_parts = self.sensed.symbols("sensed")
         ahead_state, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
         drive = ca.SX.sym("drive")
         coming = None if self.unrolled else ca.SX.sym("coming")
         result = self._finish(
-            Known(m, r, row_parts, c, sensed_parts, _Acts(ahead_state, drive, back, coming)), predicts=predicts
+            Known(
+                memory_parts, reading_parts, row_parts, constants, sensed_parts, _Acts(ahead_state, drive, back, coming)
+            ),
+            predicts=predicts,
         )
         inputs = {"reading": reading, "row": row, "numbers": numbers, "memory": memory, "sensed": sensed}
         inputs |= {"ahead": ahead_state, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
@@ -926,14 +966,18 @@ class TickEquations:
     def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
         """Return z (N+E,) and the cart's acceleration, m/s², a period later.
 
-        command m/s²: acts in the period. drive m/s²: acceleration of the cart at its begin, for a lagging drive.
+        `command` m/s²: acts in the period. `drive` m/s²: acceleration of the cart at its begin, for a lagging drive.
+        `c`: constants of the run.
         """
         acting, following = self._acting(command, z[self.filter.equations.dimension - 1], drive, c)
         # Only z is used, so the inputs of the noise are zero.
         return self.filter.predicted(z, acting, c.parameters, c.process, ca.SX(3, 1))[0], following
 
     def _seen(self, z: ca.SX, r: Measurement) -> ca.SX:
-        """Return the state (N,) that the law receives: z without extras, with the simulated error of measured rates."""
+        """Return the state (N,) that the law receives: z without extras, with the simulated error of measured rates.
+
+        `r`: reading of the tick, which has this error.
+        """
         n, size = self.filter.arms, self.filter.equations.dimension
         return ca.vertcat(*(z[i] + (r.rate_error[i - n] if n <= i < 2 * n else 0) for i in range(size)))
 

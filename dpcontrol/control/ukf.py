@@ -58,6 +58,13 @@ class Ukf(KalmanFilter):
     """
 
     def __init__(self, model: SampledModel, settings: UkfSettings, *, noise: Array) -> None:
+        """Prepare filterpy's filter, whose sigma points follow the compiled model.
+
+        Args:
+            model: model of arms and drive from tick to tick.
+            settings: settings of the filter.
+            noise: covariance (n+1, n+1) of the measured positions.
+        """
         super().__init__(model, settings, noise=noise)
         self.size = self.equations.dimension
         self._shares = self.equations.shares

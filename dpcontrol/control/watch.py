@@ -220,7 +220,8 @@ class SensorWatch:
         They are the filter of scale and commands in the module's text. It runs beside the tick's filter, which a stuck
         scale misleads.
 
-        `value` m: the reading. `count`: number of equal readings before it. `smallest` m: smallest step so far.
+        `m`, `c`: memory and constants of the tick. `value` m: the reading. `count`: number of equal readings before it.
+        `smallest` m: smallest step so far.
         """
         period = self.period
         first = ca.logic_not(finite(m.last[self.arms]))
@@ -271,18 +272,18 @@ class SensorWatch:
             known: parts of the tick's inputs.
             stuck: results of `stuck`.
         """
-        m, c, n, (sensor, watch), period = known.memory, known.numbers, self.arms, stuck, self.period
+        tick_memory, constants, n, (sensor, watch), period = known.memory, known.numbers, self.arms, stuck, self.period
         velocity, step = known.sensed.z[2 * n + 1], watch.step[n]
         velocity = ca.if_else(finite(velocity), velocity, 0)
-        moved = [ca.if_else(finite(m.last[i]), watch.last[i] - m.last[i], 0) for i in range(n + 1)]
+        moved = [ca.if_else(finite(tick_memory.last[i]), watch.last[i] - tick_memory.last[i], 0) for i in range(n + 1)]
         moved = ca.vertcat(ca.DM(np.tril(np.ones((n, n)))) @ ca.vertcat(*moved[:n]), moved[n])
-        count = ca.fmax(ca.if_else(step <= BIG, step, 0), c.scale)
+        count = ca.fmax(ca.if_else(step <= BIG, step, 0), constants.scale)
         # The accelerations of a drive near its greatest velocity are not known.
-        limited = ca.fabs(velocity) >= _LIMITED * c.velocity
-        variance = ca.if_else(limited, BIG, c.noise[-1] + known.sensed.timing * velocity**2)
-        visible = self.drive.visible(count, variance, ca.fmax(c.drive_noise, _COMMAND_NOISE))
+        limited = ca.fabs(velocity) >= _LIMITED * constants.velocity
+        variance = ca.if_else(limited, BIG, constants.noise[-1] + known.sensed.timing * velocity**2)
+        visible = self.drive.visible(count, variance, ca.fmax(constants.drive_noise, _COMMAND_NOISE))
         cart = CartReading(self._fresh(known), watch.same[n] > 0, moved, known.reading.age * velocity, visible)
-        memory = self.drive.update(m.drive_watch, cart)
+        memory = self.drive.update(tick_memory.drive_watch, cart)
         drive_watch = self.drive.memory.of(memory)
         unfollowed = drive_watch.lasts >= self.drive.longest - period / 2
         # Arms that move by the commands contradict a constant reading of the scale, not the drive.
@@ -331,5 +332,7 @@ class SensorWatch:
         """
         n, rate, size = self.arms, self.equations.function(), self.equations.dimension
         state = ca.vertcat(*(ca.if_else(finite(value), value, 0) for value in ca.vertsplit(known.sensed.z[:size])))
-        arm_accelerations, without_command = (rate(state, a, known.numbers.parameters)[n : 2 * n] for a in (acting, 0))
+        arm_accelerations, without_command = (
+            rate(state, acceleration, known.numbers.parameters)[n : 2 * n] for acceleration in (acting, 0)
+        )
         return self.drive.predict(watch, acting, arm_accelerations, arm_accelerations - without_command)

@@ -565,15 +565,15 @@ class RotatingFamilies(Documented):
 def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
     """Return True if a family's curve passes through an orbit, so that the family need not be followed again."""
     scale = orbit.system.scale
-    for before, after in pairwise(family.members):
-        if (before.energy - orbit.energy) * (after.energy - orbit.energy) > 0 or before.energy == after.energy:
+    for first, second in pairwise(family.members):
+        if (first.energy - orbit.energy) * (second.energy - orbit.energy) > 0 or first.energy == second.energy:
             continue
-        share = (orbit.energy - before.energy) / (after.energy - before.energy)
-        state = before.state + share * (after.state - before.state)
-        period = before.period + share * (after.period - before.period)
+        share = (orbit.energy - first.energy) / (second.energy - first.energy)
+        state = first.state + share * (second.state - first.state)
+        period = first.period + share * (second.period - first.period)
         # Members are a few hundredths apart, and the error of a chord is below a tenth of that.
         tolerance = (
-            0.1 * max(float(np.abs((after.state - before.state) / scale).max()), abs(after.period / before.period - 1))
+            0.1 * max(float(np.abs((second.state - first.state) / scale).max()), abs(second.period / first.period - 1))
             + 1e-6
         )
         difference = max(float(np.abs((state - orbit.state) / scale).max()), abs(period / orbit.period - 1))

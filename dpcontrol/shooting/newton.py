@@ -297,7 +297,8 @@ class ShootingEquations:
             *((n * k, self.size - 1, n, 1) for k in self.unfolded),
         ]
         places = [
-            np.indices(shape).reshape(2, -1) + np.array([[row], [first_column]]) for row, first_column, *shape in blocks
+            np.indices(shape).reshape(2, -1) + np.array([[first_row], [first_column]])
+            for first_row, first_column, *shape in blocks
         ]
         self._row, self._col = np.hstack(places)
         self._scaling = self.rows[self._row] * self.columns[self._col]

@@ -798,10 +798,10 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
         lead = np.linspace(
             -periods_before_seed * period, 0.0, max(1, int(np.ceil(periods_before_seed * settings.segments))) + 1
         )[:-1]
-        along = np.linspace(0.0, flight, count + 1)
+        flight_times = np.linspace(0.0, flight, count + 1)
         seeds, _ = manifold.seeds(np.array([phase]), side.branch)
-        tube_states = side.turned(system.propagator.sample(seeds[0], along)) + turns * system.turn_lengths
-        times.append(sign * (np.concatenate([lead, along]) - flight))
+        tube_states = side.turned(system.propagator.sample(seeds[0], flight_times)) + turns * system.turn_lengths
+        times.append(sign * (np.concatenate([lead, flight_times]) - flight))
         states.append(np.vstack([seed_end.states(sign * lead), tube_states]))
         ends.append(seed_end.moved(-sign * periods_before_seed * period))
     orbit, section = crossing.sides[0].manifold.orbit, crossing.sides[0].section

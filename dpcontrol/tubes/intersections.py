@@ -108,9 +108,9 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
     touching_distance = margin * (bends[0] + bends[1][nearest])
     # Neighbours near another stretch of the second curve are irrelevant here.
     consecutive = np.abs(np.diff(nearest)) <= _STRETCH
-    before = np.r_[np.inf, np.where(consecutive, distance[:-1], np.inf)]
-    after = np.r_[np.where(consecutive, distance[1:], np.inf), np.inf]
-    lowest = (distance <= touching_distance) & (distance <= before) & (distance <= after)
+    previous_distance = np.r_[np.inf, np.where(consecutive, distance[:-1], np.inf)]
+    next_distance = np.r_[np.where(consecutive, distance[1:], np.inf), np.inf]
+    lowest = (distance <= touching_distance) & (distance <= previous_distance) & (distance <= next_distance)
     return [(float(i), float(nearest[i])) for i in np.flatnonzero(lowest)]
 
 
@@ -688,9 +688,9 @@ def _partners(
     """
     sides, gap_directions, phase_directions = crossings[0].sides, [], []
     for crossing in crossings:
-        left, _, right = np.linalg.svd(_slopes(crossing))
-        gap_directions.append(left[:, -1])
-        phase_directions.append(right[-1] / np.abs(right[-1]).max())
+        gap_vectors, _, phase_vectors = np.linalg.svd(_slopes(crossing))
+        gap_directions.append(gap_vectors[:, -1])
+        phase_directions.append(phase_vectors[-1] / np.abs(phase_vectors[-1]).max())
     phases = np.array([crossing.phases for crossing in crossings])
     neighbours = [_approaches(system, sides, phases + sign * _BESIDE * np.array(phase_directions)) for sign in (-1, 1)]
     owners, guesses = [], []
@@ -698,10 +698,16 @@ def _partners(
         if pair[0] is None or pair[1] is None:
             continue
         derivatives = (_slopes(candidate) for candidate in (pair[0].crossing, crossing, pair[1].crossing))
-        before, middle, after = (
+        slope_before, slope, slope_after = (
             float(gap_directions[k] @ derivative @ phase_directions[k]) for derivative in derivatives
         )
-        zeros = np.roots([(before - 2 * middle + after) / (6 * _BESIDE**2), (after - before) / (4 * _BESIDE), middle])
+        zeros = np.roots(
+            [
+                (slope_before - 2 * slope + slope_after) / (6 * _BESIDE**2),
+                (slope_after - slope_before) / (4 * _BESIDE),
+                slope,
+            ]
+        )
         roots = [
             float(root.real) for root in zeros if abs(root.imag) < abs(root.real) and abs(root) < _FARTHEST_PARTNER
         ]

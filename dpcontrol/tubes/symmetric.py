@@ -266,9 +266,11 @@ class _FamilySearch:
     def section(self) -> Section:
         """The section on which the upright arm hangs down."""
         n, period = self.system.dimension // 2, float(self.system.periods[self.arm])
-        row = tuple(float(i == self.arm) for i in range(2 * n))
+        coefficients = tuple(float(i == self.arm) for i in range(2 * n))
         hanging = float(self.system.equilibrium(self.saddle)[self.arm]) + period / 2
-        return Section(f"arm {self.arm + 1} hanging", row, row, row[:n], offset=hanging, period=period)
+        return Section(
+            f"arm {self.arm + 1} hanging", coefficients, coefficients, coefficients[:n], offset=hanging, period=period
+        )
 
     def flown(self, orbit: LyapunovOrbit) -> _Row:
         """Return the row of an orbit: its tube's trajectories at the section, for the grid of energies and phases."""
@@ -303,7 +305,7 @@ class _FamilySearch:
             for branch_index, branch in enumerate(below.branches):
                 lower_gaps, upper_gaps = below.gaps[branch_index], above.gaps[branch_index]
                 next_phase = [np.roll(gaps, -1, axis=0) for gaps in (lower_gaps, upper_gaps)]
-                for corners, places, row in (
+                for corners, places, grid_row in (
                     ((lower_gaps, upper_gaps, next_phase[0]), (0, 0, 1), below),
                     ((next_phase[1], upper_gaps, next_phase[0]), (1, 0, 1), above),
                 ):
@@ -318,7 +320,7 @@ class _FamilySearch:
                     inside = ~flat & (shares >= 0).all(axis=1) & (shares.sum(axis=1) <= 1)
                     for phase_index in phase_indices[inside]:
                         weights = np.array([1 - shares[phase_index].sum(), *shares[phase_index]])
-                        yield row.orbit, branch, float((phase_index + weights @ np.array(places)) / count % 1.0)
+                        yield grid_row.orbit, branch, float((phase_index + weights @ np.array(places)) / count % 1.0)
 
     def refined(self, orbit: LyapunovOrbit, branch: int, phase: float, spacing: float) -> Connection | None:
         """Return a zero's connection by multiple shooting with free energy, phase and time, or None after a failure.
@@ -340,9 +342,9 @@ class _FamilySearch:
             return None
         count = int(np.ceil((lead + arrival.time) / orbit.period * settings.segments))
         times = np.linspace(-lead, arrival.time, count + 1)
-        before = times < 0
+        early = times < 0
         states = np.vstack([
-            seed.states(times[before]), self.system.propagator.sample(seed.states(np.zeros(1))[0], times[~before])
+            seed.states(times[early]), self.system.propagator.sample(seed.states(np.zeros(1))[0], times[~early])
         ])  # fmt: skip
         start = seed.moved(-lead)
         target = states[-1][: self.system.dimension // 2] - self._off(states[-1])
@@ -435,9 +437,9 @@ class _FamilySearch:
         assert half_turn is not None
         turns = np.zeros(2 * n)
         turns[:n] = np.rint(2 * (middle[:n] - centre[:n]) / system.periods[:n])
-        before = half.states
-        after = (before[::-1] - centre) @ reverser.T + centre + turns * system.turn_lengths
-        count = len(before)
+        first_half = half.states
+        second_half = (first_half[::-1] - centre) @ reverser.T + centre + turns * system.turn_lengths
+        count = len(first_half)
         times = np.linspace(-half.duration, half.duration, 2 * count + 1)
         end = replace(
             half.start,
@@ -449,7 +451,7 @@ class _FamilySearch:
         flight = ShootingOrbit(
             system=system,
             times=times,
-            states=np.vstack([before, middle, after]),
+            states=np.vstack([first_half, middle, second_half]),
             ends=(half.start, end),
             turn=None,
             residual=residual,
