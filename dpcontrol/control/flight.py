@@ -216,6 +216,7 @@ class FlightPlanner:
         first[:, :arms] -= turns
         start = np.repeat(first, guesses, axis=0).T
         lanes = start.shape[1]
+        # The guesses brake the cart, and differ in their durations.
         begin = np.vstack([start, np.tile(DURATIONS / STEPS, count)])
         gains = np.zeros((STEPS, n + 1, lanes))
         gains[:, n - 2], gains[:, n - 1] = -_BRAKING[0], -_BRAKING[1]
@@ -316,6 +317,7 @@ class FlightPlanner:
         """
         count, scale = len(inputs), self._scale
         step = np.minimum((times / duration * count).astype(int), count - 1)
+        # Each time is one lane, with a step that ends at this time.
         lengths = scale.time * (times - step * (duration / count))
         begin = np.vstack([(self._factors * nodes[step]).T, lengths])
         no_feedback, pushes = np.zeros((1, self._n + 1, len(times))), scale.acceleration * inputs[step]

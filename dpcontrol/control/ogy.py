@@ -189,6 +189,7 @@ def learning(
     spread = np.array([ANGLE_ERROR**2] * (n // 2) + [RATE_ERROR**2] * (n // 2))
     noise = []
     for section_map in maps:
+        # Errors of the estimates at both sections are the noise of the learning filter.
         start_map, end_projection = section_map.matrix[:n, :n], section_map.end.projection[:n, :n]
         # The smallest of them regularises the direction along the orbit, which the section omits.
         noise.append(
@@ -303,10 +304,7 @@ class OgyController(Brief):
 
     @property
     def first_state(self) -> Array:
-        """Return the initial state (N,).
-
-        The orbit at its first section, so that a pulse comes at once.
-        """
+        """Return the initial state (N,): the orbit at its first section, so that a pulse comes at once."""
         return self.states[0]
 
     @cached_property
@@ -340,7 +338,7 @@ class OgyController(Brief):
         return session
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance from the orbit, modulo turns.
+        """Return the distance of a state from the nearest point of the orbit, see `PhaseTable.distance`.
 
         Args:
             state: state (N,), whose cart is ignored.
@@ -457,10 +455,10 @@ class OgySession(ClockedSession):
         self.course, self._tick = self.course._replace(elapsed=elapsed), tick
 
     def _where(self, holds: Any, change: Callable[..., _Course], *given: Any) -> None:
-        """Apply a change to this run if `holds`.
+        """Change the course of the runs for which `holds` is True, such as those that cross a section in this tick.
 
-        In lockstep, apply it to the runs for which `holds` is True. `holds` is a bool or (S,), `given` are the
-        arguments of `change` after the course, each with one entry for each run.
+        `holds`: a bool, or (S,) in lockstep. `change`: function of a course and of `given`, which returns the new
+        course. `given`: its further arguments, with one entry for each run in lockstep.
         """
         if self.lanes is ONE:
             if holds:
@@ -497,17 +495,14 @@ class OgySession(ClockedSession):
     def _moved_on(self, course: _Course, section: Any, states: Array) -> _Course:
         """Return the course after a section that was not crossed in time, with the clock at the nearest phase.
 
-        The section is kept for the log's event. The argument `states` is a state (N,) or states (S, N).
+        `section`: number of the section, stored for the log's event. `states`: state (N,), or states (S, N).
         """
         course, moved = self._nearest(course, states)
         self._lost = section, moved
         return course
 
     def _nearest(self, course: _Course, states: Array) -> tuple[_Course, Any]:
-        """Return the course with its clock at the nearest phase, and the shift, s.
-
-        The argument is a state (N,) or states (S, N).
-        """
+        """Return the course with its clock at the phase nearest to a state (N,) or states (S, N), and its shift, s."""
         law, expected = self._law, (self._law.times[course.section] + course.elapsed) % self.orbit_period
         time, _, lift = law.table.nearest(states)
         times_since = np.mod(time[..., None] - law.times, self.orbit_period)
@@ -516,9 +511,9 @@ class OgySession(ClockedSession):
         return corrected, law.table.shift(time, expected)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the nearest phase and return a sentence.
+        """Move the orbit's clock to the phase nearest to a state, and return a sentence for the log.
 
-        The next crossing starts a pulse.
+        The loop calls it if the arms have been far from the reference for some time. The next crossing starts a pulse.
 
         Args:
             tick: present tick.

@@ -61,11 +61,11 @@ class PhaseTable(Brief):
 
     @property
     def step(self) -> float:
-        """Return the time between two entries, s."""
+        """Return the time between two entries of the table, s."""
         return self.period / (len(self.states) - 1)
 
     def state(self, time: Any, lanes: Lanes = ONE) -> Array:
-        """Return the states at times, modulo the period.
+        """Return the motion's states at times, interpolated, modulo the period.
 
         Args:
             time: time, s, or times (S,).
@@ -86,7 +86,7 @@ class PhaseTable(Brief):
         return self.inputs[lanes.nearest(time % self.period / self.step)]
 
     def shift(self, time: Any, expected: Any) -> Any:
-        """Return the delay of a time, s, within half a period.
+        """Return the time by which a clock is ahead of an expected time, s, at most half a period either way.
 
         Args:
             time: time, s, or times of any shape.
@@ -96,7 +96,10 @@ class PhaseTable(Brief):
         return (time - expected + half) % (2 * half) - half
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance from the orbit, modulo turns.
+        """Return the distance of a state from the motion's nearest point, its largest scaled component.
+
+        Whole turns do not count. By this distance, a program checks that a flight meets an orbit, and a fallback is
+        chosen.
 
         Args:
             state: state (N,), whose cart is ignored.
@@ -123,6 +126,7 @@ class PhaseTable(Brief):
         )
         differences = pendulum[:, None, :] - self.states[None, :-1:COARSE, :size]
         differences[..., :n] -= whole_turns(differences[..., :n])
+        # The coarse entry is corrected by the time by which the state is late there.
         entry = np.argmin(np.square(differences / scale).sum(-1), axis=1)
         rate = self.rates(entry * COARSE)
         lateness = (differences[np.arange(len(pendulum)), entry] * rate / scale**2).sum(1) / np.square(
@@ -268,7 +272,7 @@ class OrbitController(Brief):
         return OrbitSession(self, tick, float(time), turns)
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance from the orbit, modulo turns.
+        """Return the distance of a state from the nearest point of the orbit, see `PhaseTable.distance`.
 
         Args:
             state: state (N,), whose cart is ignored.
@@ -303,7 +307,7 @@ class OrbitSession(ClockedSession):
         return self._time % self.orbit_period
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback, m/s², and the reference.
+        """Return feedforward and feedback, m/s², and the reference, the orbit at the session's clock.
 
         Args:
             tick: the tick in which the command acts.
@@ -325,7 +329,9 @@ class OrbitSession(ClockedSession):
         return law.feedforward[k], lanes.dot(law.gains[k], reference - without_turns), reference + self._lift
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the nearest phase and return a sentence.
+        """Move the orbit's clock to the phase nearest to a state, and return a sentence for the log.
+
+        The loop calls it if the arms have been far from the reference for some time.
 
         Args:
             tick: present tick.

@@ -238,7 +238,7 @@ class TickEquations:
 
     @cached_property
     def memory(self) -> Layout[Memory]:
-        """Values stored from tick to tick.
+        """Layout of the values stored from tick to tick, the memory `m`.
 
             z, covariance: prediction for the coming reading, and the covariance's lower triangle row by row.
 
@@ -295,7 +295,7 @@ class TickEquations:
 
     @cached_property
     def reading(self) -> Layout[Measurement]:
-        """Input from the rig.
+        """Layout of a tick's input from the rig, the reading `r`.
 
         measured (n+1,): angles, rad, and the cart's position, m. present (n+1,): 1 where measured.
 
@@ -310,7 +310,7 @@ class TickEquations:
 
     @cached_property
     def row(self) -> Layout[Row]:
-        """Input from the table.
+        """Layout of a tick's input from the table of the law, the row.
 
         At the tick at which the command acts:
 
@@ -332,7 +332,7 @@ class TickEquations:
 
     @cached_property
     def numbers(self) -> Layout[Numbers]:
-        """Constants of a run.
+        """Layout of a run's constants `c`: bounds that judge the run, and numbers of its model.
 
         bounds. noise: R packed. parameters, process: see `FilterEquations`. fresh (N+E,): variances after a
         restart.
@@ -352,7 +352,7 @@ class TickEquations:
 
     @cached_property
     def sensed(self) -> Layout[Sensed]:
-        """Output of the first part.
+        """Layout of the estimate, the output of a tick's first part.
 
         z, covariance, sigmas (N+E,), nis, used positions, turns, and sound: 1 if all is finite and no angle has
         slipped. relative: in a whole tick, z relative to its origin.
@@ -365,7 +365,7 @@ class TickEquations:
 
     @cached_property
     def report(self) -> Layout[Report]:
-        """Output of a tick.
+        """Layout of a tick's output for loop and log.
 
         state (N,): estimate. sigmas, extra: standard deviations of state and extras, and the extras.
 

@@ -237,7 +237,9 @@ class PhaseSession(ClockedSession):
         return law.feedforward[j], lanes.dot(law.gains[j], reference - states), reference
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the nearest phase and return a sentence.
+        """Move the reference's clock to the phase nearest to a state, and return a sentence for the log.
+
+        The loop calls it if the arms have been far from the reference for some time.
 
         Args:
             tick: present tick.
@@ -564,9 +566,10 @@ def _by_time(model: SampledModel, path: TickedMotion, gains: Array, most: float)
 def regulator_along(
     model: SampledModel, states: Array, commands: Array, settings: QuadraticWeights, *, parameters: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Return gains (K, N), matrices (K, N, N) of the closed loop and P (K+1, N, N) along a motion.
+    """Return gains (K, N), closed-loop matrices (K, N, N) and P (K+1, N, N) of feedback along a motion.
 
-    P is that of the cost-to-go eᵀPe, at the end that of the model frozen there.
+    P is that of the cost-to-go eᵀPe, at the end that of the model frozen there. A flight's target is a
+    place of the motion with this cost, and plans are compared by their gains.
 
     Args:
         model: model of arms and drive from tick to tick.

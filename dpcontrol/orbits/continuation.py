@@ -84,6 +84,7 @@ class Newton:
         for _ in range(self.iterations):
             try:
                 residuals, jacobian = equations(unknowns)
+                # The second solution is the slope: the change of the unknowns by the last equation's value.
                 right_sides = np.column_stack([residuals, np.append(np.zeros(len(residuals) - 1), 1.0)])
                 if len(residuals) == len(guess):
                     step, slope = np.linalg.solve(jacobian, right_sides).T
@@ -96,6 +97,7 @@ class Newton:
                 best = Solution(unknowns, residual, slope)
             elif best.residual < self.tolerance:
                 break
+            # With large multipliers, rounding limits the residual, and the small step shows convergence.
             at_rest = residual < self.rounded and np.all(np.abs(step) <= _AT_REST * reach)
             if at_rest or best.residual <= self.enough:
                 break
@@ -349,7 +351,7 @@ def stepped(
     longest: float,
     smallest: float,
 ) -> tuple[Place, float]:
-    """Continue a solution from one value of a quantity to another.
+    """Return a solution continued from one value of a quantity to another, by steps that adapt to success and failure.
 
     Args:
         start: solution at the first value.

@@ -452,6 +452,7 @@ def floquet_measures(problem: SymmetricShooting, unknowns: Array) -> dict[str, f
     """
     system, state = problem.system, problem.state(unknowns)
     _, monodromy = system.propagator.flow_with_stm(state, problem.period(unknowns))
+    # The complement of flow and energy gradient, on which the multipliers other than one act.
     plane, _ = np.linalg.qr(np.column_stack([system.numeric.rate(state), system.numeric.gradient(state)]))
     reduced_basis = np.linalg.svd(plane.T)[2][2:].T
     reduced = reduced_basis.T @ monodromy @ reduced_basis

@@ -269,6 +269,7 @@ def _linear_centre(problem: SymmetricShooting, saddle: str, family: int) -> Line
         )
     # The fixed set of the first reverser contains one phase of each oscillation.
     mode = start @ (start.T @ vectors[:, oscillations[family]])
+    # The phase of the mode is chosen so that its largest entry is real.
     mode = np.real(mode / (mode[np.argmax(np.abs(mode))] / np.abs(mode).max()))
     if system.orientation @ mode < 0:
         mode = -mode
@@ -496,6 +497,7 @@ def floquet_multipliers(system: System, state: Array, period: float, monodromy: 
         monodromy: matrix (N, N) from this state.
     """
     rate, gradient = system.numeric.rate(state), system.numeric.gradient(state)
+    # The complement of flow and energy gradient, ker ∇H modulo f, on which the other multipliers act.
     plane, _ = np.linalg.qr(np.column_stack([rate, gradient]))
     reduced_basis = np.linalg.svd(plane.T)[2][2:].T
     forward = np.linalg.eigvals(reduced_basis.T @ monodromy @ reduced_basis)

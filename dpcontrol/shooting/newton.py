@@ -676,7 +676,7 @@ class ClosedMultipliers(Brief):
 
 
 def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
-    """Return the unstable and the stable multiplier of a closed orbit as logarithms, since they can exceed all doubles.
+    """Return a closed orbit's unstable and stable multiplier as logarithms, since they can exceed all doubles.
 
     Power iteration runs forward for the unstable direction and backward for the stable one.
 

@@ -244,6 +244,7 @@ def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
             offset = moved_part @ (state - centre)
             offset = (offset - system.nearest_turns(2 * offset) * system.turn_lengths / 2) / system.scale
             rate = moved_part @ system.numeric.rate(state) / system.scale
+            # A Newton step for the time at which the orbit is nearest to the fixed set.
             time -= float(offset @ rate / (rate @ rate))
             if abs(time - middle) > _MIDDLE * orbit.start.manifold.orbit.period:
                 # Farther away, the periodic orbits themselves meet the fixed set.
@@ -789,6 +790,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
         # Here time runs from the seed to the section for both tubes.
         sign = -1.0 if side.stable else 1.0
         count = max(2, int(np.ceil(flight / period * settings.segments)))
+        # Shooting starts before the seed, since the linear manifold is more accurate near the periodic orbit.
         periods_before_seed = max(
             settings.lead, float(np.log(manifold.distance / settings.farthest)) / manifold.exponent
         )

@@ -180,7 +180,7 @@ class ConnectionSettings:
 def search_settings(
     *, longest: float | None = None, thorough: bool = False, seconds: float | None = None
 ) -> ConnectionSettings:
-    """Return the limits and the refinement of a search.
+    """Return the settings of a search for connections, from a user's limits and wish for thoroughness.
 
     Args:
         longest: flight time to the section in periods of the orbit, None for the system's default.
@@ -645,7 +645,8 @@ def _newton(
 ) -> list[Intersection | None]:
     """Return the intersections to which Newton's method leads from phases `guesses` (K, 2), None for failures.
 
-    A failure leaves the range of phases `reach` (K,) about its guess, does not arrive, or does not converge in time.
+    The two phases are changed until the arrivals of both tubes at the section are the same state. A failure leaves the
+    range of phases `reach` (K,) about its guess, does not arrive, or does not converge in time.
     """
     phases, smallest_gaps = guesses.copy(), np.full(len(guesses), np.inf)
     results: list[Intersection | None] = [None] * len(guesses)
