@@ -199,6 +199,7 @@ def _tables(equations: TickEquations, schedule: GainSchedule, *, single: bool) -
         extra_gains=_DEVIATION,
         pair_gains=_DEVIATION**2,
     )
+    # All rows after the last one that differs are equal, so the tables end with the first of them.
     differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
     moving = rows[: differing[-1] + 2 if len(differing) else 1, columns]
     names = [f"{name} {k + 1}" for name in equations.row.names for k in range(len(getattr(largest, name)))]

@@ -401,6 +401,7 @@ class FlightPlanner:
         """
         nodes, _, costs = flown
         totals = costs + target.nearest(nodes[-1, : self._n].T, weights)[0] / 2
+        # J is positive; other values are due to overflow.
         return np.where(np.isfinite(totals) & (totals > 0), totals, np.inf)
 
     def _end_weights(self, stage: Stage, target: Target) -> Array:
@@ -590,6 +591,7 @@ class _FlightStep:
         q_zz = h * self.soft * slopes.T @ slopes + by_state.T @ hessian @ by_state
         q_zz[n - 2, n - 2] += h * _EFFORT * self.terms[3]
         q_uz = pushed @ by_state + ca.horzcat(ca.SX.zeros(1, n), _EFFORT * u)
+        # A negative curvature by the input would lead to a maximum.
         q_uu = h * _EFFORT + ca.fmax(pushed @ by_input, 0) + regularity
         free = -q_u / q_uu
         change = ca.fmax(-largest - u, ca.fmin(largest - u, free))

@@ -429,9 +429,11 @@ class OgySession(ClockedSession):
         self._pass(tick)
         self._lost, course = None, self.course
         if law.learning is not None and ticks_passed:
+            # The prediction is valid if no tick since the section was left out.
             foreseen = self._step(course.foreseen, self._sent)
             self.course = course = course._replace(foreseen=foreseen, flying=course.flying & (ticks_passed == 1))
         without_turns = states - course.lift
+        # A section counts as crossed within the window about its expected time only.
         near = course.elapsed > law.duration - law.window
         if lanes is MANY or near:
             next_section = (course.section + 1) % len(law.times)

@@ -126,9 +126,9 @@ class PhaseTable(Brief):
         )
         differences = pendulum[:, None, :] - self.states[None, :-1:COARSE, :size]
         differences[..., :n] -= whole_turns(differences[..., :n])
-        # The coarse entry is corrected by the time by which the state is late there.
         entry = np.argmin(np.square(differences / scale).sum(-1), axis=1)
         rate = self.rates(entry * COARSE)
+        # A table's entry is corrected by the time by which the state is late there.
         lateness = (differences[np.arange(len(pendulum)), entry] * rate / scale**2).sum(1) / np.square(
             rate / scale
         ).sum(1)

@@ -186,6 +186,7 @@ def follow(
         if result.last is not None:
             break
         direction = 1 if following.value > previous.value else -1
+        # The bound behind comes first, at which a family can enter; at the bound ahead it ends.
         for bound in energies[::direction]:
             if (previous.value - bound) * (following.value - bound) < 0 or following.value == bound:
                 place = curve.at(following, bound)

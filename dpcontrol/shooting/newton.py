@@ -511,6 +511,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
             fault = linear.fault
             accurate = linear.residual <= settings.tolerance
             stalled = 0 if linear.residual < lowest / 2 else stalled + 1
+            # The end: an accurate orbit that no step improves, steps that only change rounding, or the last iteration.
             if (
                 (accurate and (linear.length <= settings.settled or linear.residual > lowest / 4))
                 or (stalled == settings.stalled and linear.length <= settings.certain)
