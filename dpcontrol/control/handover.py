@@ -74,11 +74,11 @@ class Program:
 
     @property
     def first_state(self) -> Array:
-        """Return the initial state (N,)."""
+        """Return the initial state (N,), with which a run begins."""
         return self.segments[0].controller.first_state
 
     def begin(self) -> "ProgramSession":
-        """Return a new session for one run."""
+        """Return a new session, the state of this law during one run."""
         return ProgramSession(self)
 
 

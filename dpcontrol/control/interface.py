@@ -132,7 +132,7 @@ def interpolated(states: Array, place: Any, lanes: Lanes) -> Array:
     Args:
         states: table (K, N).
         place: fractional row, or rows (S,).
-        lanes: `ONE` or `MANY`.
+        lanes: arithmetic for one run, `ONE`, or for S runs, `MANY`.
 
     Returns:
         States (N,) or (S, N).
@@ -352,7 +352,7 @@ class Controller(Protocol):
 
     @property
     def first_state(self) -> Array:
-        """Return the initial state (N,)."""
+        """Return the initial state (N,), with which a run begins."""
         ...
 
     @property

@@ -313,11 +313,11 @@ class OgyController(Brief):
         return min(self.duration / 2, _EARLY * self.table.period)
 
     def begin(self) -> "OgySession":
-        """Return a new session for one run."""
+        """Return a new session, the state of this law during one run."""
         return OgySession(self)
 
     def begin_many(self, count: int) -> "OgySession":
-        """Return a session for many runs, each with its own clock.
+        """Return a session for many runs in lockstep, each with its own clock.
 
         Args:
             count: number of runs.

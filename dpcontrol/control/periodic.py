@@ -69,7 +69,7 @@ class PhaseTable(Brief):
 
         Args:
             time: time, s, or times (S,).
-            lanes: `ONE` or `MANY`.
+            lanes: arithmetic for one run, `ONE`, or for S runs, `MANY`.
 
         Returns:
             State (N,), or states (S, N).
@@ -81,7 +81,7 @@ class PhaseTable(Brief):
 
         Args:
             time: time, s, or times (S,), modulo the period.
-            lanes: `ONE` or `MANY`.
+            lanes: arithmetic for one run, `ONE`, or for S runs, `MANY`.
         """
         return self.inputs[lanes.nearest(time % self.period / self.step)]
 
@@ -248,11 +248,11 @@ class OrbitController(Brief):
         return self.table.states[0]
 
     def begin(self) -> "OrbitSession":
-        """Return a new session for one run."""
+        """Return a new session, the state of this law during one run."""
         return OrbitSession(self, 0, 0.0, np.zeros(len(self.first_state)))
 
     def begin_many(self, count: int) -> "OrbitSession":
-        """Return a session for many runs, each with its own clock.
+        """Return a session for many runs in lockstep, each with its own clock.
 
         Args:
             count: number of runs.
@@ -294,7 +294,7 @@ class OrbitSession(ClockedSession):
             tick: tick of the loop.
             time: time on the orbit's clock, s, or times (S,).
             lift: whole turns (N,) between run and table, rad.
-            lanes: `ONE` or `MANY`.
+            lanes: arithmetic for one run, `ONE`, or for S runs, `MANY`.
         """
         self._law, self.lanes = law, lanes
         self._tick, self._time, self._lift = tick, time, lift

@@ -1252,7 +1252,7 @@ class TickProgram:
     def look_ahead(self, z: Array) -> tuple[Array, Array]:
         """Return the states (N, lanes) at which commands of this tick act, by prediction over the pending commands.
 
-        `drive` at that time follows.
+        `drive` (lanes,) at that time, m/s², follows.
 
         Args:
             z: estimates (N+E, lanes).

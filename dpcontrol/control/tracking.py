@@ -96,7 +96,7 @@ class ReferenceController(Brief):
 
     @property
     def first_state(self) -> Array:
-        """Return the initial state (N,)."""
+        """Return the initial state (N,), with which a run begins."""
         return self.reference_states[0]
 
     @property
@@ -150,11 +150,11 @@ class PhaseController(ReferenceController):
     normals: Array
 
     def begin(self) -> "PhaseSession":
-        """Return a session for one run."""
+        """Return a new session, the state of this law during one run."""
         return PhaseSession(self)
 
     def begin_many(self, count: int) -> "PhaseSession":
-        """Return a session for many runs, each with its own clock.
+        """Return a session for many runs in lockstep, each with its own clock.
 
         Args:
             count: number of runs.
