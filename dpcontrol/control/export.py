@@ -183,7 +183,7 @@ def _tables(equations: TickEquations, schedule: GainSchedule, *, single: bool) -
     """Return the tables of a schedule without lead: which columns change from tick to tick, and their polynomials.
 
     A column's accuracy follows from the command's error by a unit of the column: gains by a deviation of the state,
-    states by the largest gain.
+    states by the largest gain. `single`: True for single precision.
     """
     n, states = equations.filter.arms, equations.row.slices.state
     rows = schedule.rows[:, :-n]
@@ -249,7 +249,10 @@ _ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", 
 
 
 def _function(program: TickProgram, equations: TickEquations, tables: _Tables) -> ca.Function:
-    """Return the tick with all constants inserted: `_ARGUMENTS` -> memory and report."""
+    """Return the tick as a function with all constants of the run inserted: `_ARGUMENTS` -> memory and report.
+
+    `tables`: the values that change from tick to tick, which are arguments instead of constants.
+    """
     n, size = equations.filter.arms, equations.filter.equations.dimension
     memory, parts = equations.memory.symbols("memory")
     measured, present = ca.SX.sym("measured", n + 1), ca.SX.sym("present", n + 1)

@@ -556,7 +556,8 @@ class _FlightStep:
     def forward(self) -> ca.Function:
         """Return the step under feedback: (moving, input, cost) from an input, a nominal state and gains about it.
 
-        The input is limited to the largest one, and `cost` is the step's part of J.
+        The input is limited to the largest one. `moving` (N+1,) is the next state with the step's length, and `cost` is
+        the step's part of J.
         """
         size, z = self.moving.shape[0], self.moving
         input_before_feedback, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", size), ca.SX.sym("gains", size)

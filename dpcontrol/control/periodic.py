@@ -294,7 +294,7 @@ class OrbitSession(ClockedSession):
             tick: tick of the loop.
             time: time on the orbit's clock, s, or times (S,).
             lift: whole turns (N,) between run and table, rad.
-            lanes: arithmetic for one run, `ONE`, or for S runs, `MANY`.
+            lanes: see `Lanes`.
         """
         self._law, self.lanes = law, lanes
         self._tick, self._time, self._lift = tick, time, lift

@@ -647,7 +647,11 @@ class TickEquations:
         return ca.vertcat(self.memory.joined(after), self.report.joined(report))
 
     def _by_law(self, known: Known) -> _Law:
-        """Return feedforward and feedback before limits, and the memory of a user's law."""
+        """Return feedforward and feedback before limits, m/s², and the memory of a user's law.
+
+        Both are summed from the row's gains, a user's law and `acts.back`; `finite` is 0 if they or the estimate are
+        unsound.
+        """
         row, constants, size = known.row, known.numbers, self.filter.equations.dimension
         sensed, acts = known.sensed, known.acts
         row_feedback, untrusted = self.law(row, acts.ahead, acts.drive, sensed.z[size:], constants.trust)
@@ -660,6 +664,7 @@ class TickEquations:
         """Return the means that `_verdict` compares with bounds: of NIS, of distances from the reference, of silence.
 
         The NIS of a tick is divided by the number of measured positions, so its mean is about 1 for a right model.
+        `predicts`: True if the filter is the compiled one.
         """
         memory, reading, constants, sensed, n, period = (
             *known[:2],
@@ -764,8 +769,8 @@ class TickEquations:
     def _path(self, known: Known, law: _Law, verdict: _Verdict) -> _Path:
         """Return the command within the drive's limits, its parts, and the acceleration in the coming period.
 
-        During a stop, the command brakes the cart to rest, and the law is ignored. `after` is the memory with the
-        command among the pending ones.
+        During a stop, the command brakes the cart to rest, and the law is ignored. `law`, `verdict`: results of
+        `_by_law` and `_verdict`. `after` of the result is the memory with the command among the pending ones.
         """
         memory, constants, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
         limit, top_speed, sent, stop = constants.acceleration, constants.velocity, memory.velocity, verdict.stopped > 0
@@ -812,7 +817,10 @@ class TickEquations:
     def _memory(
         self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path, *, predicts: bool
     ) -> Memory:
-        """Return the memory for the next tick: that of the path, with prediction, means, verdict and watches."""
+        """Return the memory for the next tick: that of the path, with prediction, means, verdict and watches.
+
+        The arguments are the results of `_by_law`, `_means`, `_verdict` and `_path`. `predicts`: see `_predicted`.
+        """
         memory, sensed, period = known.memory, known.sensed, self.filter.period
         holds, restarts = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
         clock_moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
@@ -850,7 +858,8 @@ class TickEquations:
     def _report(self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path) -> Report:
         """Return the tick's report for loop and log: estimate, command, mode, outcome and checked means.
 
-        Errors of parameters, which z has as logarithms, are relative in the report.
+        The arguments are the results of `_by_law`, `_means`, `_verdict` and `_path`. Errors of parameters, which z has
+        as logarithms, are relative in the report.
         """
         memory, sensed, size, stop = known.memory, known.sensed, self.filter.equations.dimension, verdict.stopped > 0
         newly_cut = ca.logic_and(path.saturated, ca.logic_not(memory.cut))

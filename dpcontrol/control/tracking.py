@@ -130,7 +130,7 @@ class TimedController(ReferenceController):
     def _rows(self, lead: int, *more: Array) -> Array:
         """Return the rows (K+1, …) of a schedule whose commands act `lead` ticks later, with further gains (K, …).
 
-        Their columns are those of `TickEquations.row`.
+        Their columns are those of `TickEquations.row`. `more`: tables of gains on the extras and on products of shares.
         """
         last, n = self.ticks, (len(self.first_state) - 2) // 2
         acting_tick = np.minimum(np.arange(last + 1) + lead, last)

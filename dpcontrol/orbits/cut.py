@@ -438,7 +438,10 @@ def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
 
 
 def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[OpenEnd]]:
-    """Return the connected pieces of a branch's cut, and the open ends between them, from refined samples."""
+    """Return the connected pieces of a branch's cut, and the open ends between them, from refined samples.
+
+    `samples`: of one period, in the order of their phases. `sampler`: branch, section and settings of the cut.
+    """
     arrived, connected = samples.arrived, samples.continuous(sampler.chord)
     grazing = sampler.settings.grazing * float(np.abs(samples.rates[arrived]).max(initial=0.0))
     # Stretches are parts of one curve, or of phases that never arrive.
@@ -467,7 +470,10 @@ def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[Op
 
 
 def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Piece:
-    """Return the other branch's piece without integration, by the symmetry S of `UnstableManifold.half_turn`."""
+    """Return the other branch's piece without integration, by the symmetry S of `UnstableManifold.half_turn`.
+
+    `piece`: piece of the manifold's cut by the section.
+    """
     assert manifold.half_turn is not None
     system, centre = manifold.orbit.system, manifold.orbit.centre
     symmetry = manifold.half_turn[0]

@@ -249,8 +249,8 @@ def family_end(points: list[CurvePoint], problem: SymmetricShooting, *, largest:
 def _extrapolated(points: list[CurvePoint], problem: SymmetricShooting) -> float | None:
     """Return the energy, J, that the last members approach as their period grows without bound, or None.
 
-    It is the energy of an equilibrium if the family ends in that equilibrium's homoclinics. The result is None if the
-    members are too few or their energies do not converge.
+    `points`: the last members in order, of which nine are used. The energy is that of an equilibrium if the family ends
+    in the equilibrium's homoclinics. The result is None if the members are too few or their energies do not converge.
     """
     if len(points) < 9:
         return None

@@ -437,8 +437,8 @@ def _follow(
 ) -> tuple[Array, OrbitOutcome]:
     """Return the unknowns (n + 1,) of a family at an energy, J, and the outcome of their continuation from the saddle.
 
-    The continuation steps in s = √(energy above the saddle), in which the orbits grow in proportion, with cubic
-    prediction. If no step converges, the unknowns are the last ones.
+    `linear`: the family's limit at the saddle. The continuation steps in s = √(energy above the saddle), in which the
+    orbits grow in proportion, with cubic prediction. If no step converges, the unknowns are the last ones.
     """
     sign, goal = linear.sign, float(np.sqrt(abs(energy - linear.energy)))
     largest_step = settings.step * np.sqrt(problem.system.energy_scale)
@@ -470,7 +470,10 @@ def _follow(
 
 
 def _predicted(points: Sequence[_Passed], s: float) -> Array:
-    """Return the unknowns (n + 1,) at s, extrapolated linearly from one member or cubically from two."""
+    """Return the unknowns (n + 1,) at s, extrapolated linearly from one member or cubically from two.
+
+    `points`: the last one or two members.
+    """
     last = points[-1]
     linear = last.unknowns + (s - last.s) * last.slope
     if len(points) == 1:

@@ -566,7 +566,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
 
 
 def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
-    """Return the linearised equations at the unknowns, after propagation of all segments with their matrices.
+    """Return the linearised equations at the unknowns `now`, after propagation of all segments with their matrices.
 
     Raises:
         _Lost: the Jacobian is singular.
@@ -757,7 +757,7 @@ def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
 def _stop_distances(shot: Shot, stops: Sequence[LyapunovOrbit]) -> tuple[float, ...]:
     """Return each stop's scaled distance of its periodic orbit from the nearest node, a figure of the error estimate.
 
-    A stop's nodes are those from its mark to the next one.
+    `stops`: the periodic orbits after the marked nodes. A stop's nodes are those from its mark to the next one.
     """
     states, nodes = shot.orbit.states, sorted(shot.guess.markers)
     curves: dict[str, OrbitCurve] = {}

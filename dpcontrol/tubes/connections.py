@@ -766,7 +766,10 @@ def _known(system: System, connection: Connection, connections: list[Connection]
 
 
 def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
-    """Return an intersection's orbit by multiple shooting; after failures, by shooting with shorter segments."""
+    """Return an intersection's orbit by multiple shooting; after failures, by shooting with shorter segments.
+
+    `crossing`: intersection of the cuts. The last orbit may not have converged.
+    """
     orbit = _shot(crossing, settings)
     for shorter in (2, 4):
         if orbit.converged:
@@ -778,7 +781,8 @@ def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOr
 def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
     """Return an intersection's orbit by multiple shooting, with time zero on the section; it may not converge.
 
-    The guess consists of the linear manifolds near both periodic orbits and of the tubes' trajectories to the section.
+    `crossing`: intersection of the cuts. The guess consists of the linear manifolds near both periodic orbits and of
+    the tubes' trajectories to the section.
     """
     ends, times, states = [], [], []
     for side, phase, flight in zip(crossing.sides, crossing.phases, crossing.times, strict=True):
