@@ -724,6 +724,9 @@ def adaptive_controller(
 ) -> AdaptiveController:
     """Return the adaptive controller, which uses the estimator's extras, for a reference.
 
+    Its gains on constant errors are those of the shifted reference, and products of the parameters' errors have gains
+    as well; see the module's text.
+
     Args:
         reference: reference to follow.
         model: model of arms and drive from tick to tick.
@@ -731,9 +734,8 @@ def adaptive_controller(
         estimator: settings of the estimator, which must estimate the parameters.
 
     Raises:
-        InputError: the reference did not converge or has another number of states than the model, or the estimator does
-            not estimate the parameters.
-        GoalMissed: the reference's end cannot be stabilised.
+        InputError: the estimator does not estimate the parameters.
+        GoalMissed: the reference's end cannot be stabilised, or the gains are infinite.
     """
     if Augment.PARAMETERS not in estimator.augments:
         raise InputError(
