@@ -676,7 +676,6 @@ def _here() -> tuple[str, str]:
 
 def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
     """Add a file to an archive, with a constant date, so that the same content gives the same bytes."""
-    # The same content gives the same bytes.
     entry = zipfile.ZipInfo(name, _EPOCH)
     entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
     archive.writestr(entry, content)
