@@ -105,7 +105,7 @@ MANY = Lanes(
 
 
 def whole_turns(angles: Array) -> Array:
-    """Return the nearest multiples of 2π, rad.
+    """Return the multiples of 2π nearest to angles, rad, by which angles are compared modulo whole turns.
 
     Args:
         angles: angles of any shape, rad.

@@ -205,7 +205,7 @@ class Curve(Brief):
     measure: Callable[[Array], Mapping[str, float]] = lambda unknowns: {}
 
     def point(self, unknowns: Array, heading: Array | None, residual: float) -> CurvePoint:
-        """Return a solution with its tangent, quantity and measures.
+        """Return a solution as a point of the curve, with its tangent, quantity and measures.
 
         Args:
             unknowns: solution (k,).
@@ -276,7 +276,7 @@ class Curve(Brief):
         growth: float = 1.5,
         refused: Callable[[CurvePoint, CurvePoint], bool] = lambda point, following: False,
     ) -> Iterator[tuple[CurvePoint, CurvePoint, float]]:
-        """Yield (point, next point, length) along the curve.
+        """Yield (point, next point, length) along the curve, with steps that adapt to success and failure.
 
         It ends when no step of `smallest` converges.
 

@@ -62,7 +62,7 @@ class CutSettings:
     seconds: float = np.inf
 
     def thoroughly(self) -> "CutSettings":
-        """Return settings with fine sampling and refinement of all wide chords."""
+        """Return settings with fine sampling and refinement of all wide chords, for searches that must miss little."""
         return replace(
             self,
             first_phases=_THOROUGH,
@@ -172,7 +172,14 @@ def arrivals(
 
 @dataclass(frozen=True)
 class Sampler(Brief):
-    """Propagation of one branch's seeds to the section."""
+    """Propagation of one branch's seeds to the section, of which a cut's samples are made.
+
+    Attributes:
+        manifold: local manifold whose tube is cut.
+        hit: number of the crossing, from 1.
+        branch: +1 or -1.
+        budget: processor time, unlimited by default.
+    """
 
     manifold: UnstableManifold
     section: Section
@@ -220,7 +227,7 @@ class Sampler(Brief):
         return bool(longer_sampler.fly(_some(phases)).arrived.any())
 
     def departs(self, phases: Array) -> bool:
-        """Return True if all trajectories leave for ever.
+        """Return True if all trajectories leave for ever, so that an open end hides no crossings.
 
         Within the flight time they diverge, or move away at a constant rate.
 

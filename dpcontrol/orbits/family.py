@@ -224,7 +224,9 @@ def nearest_equilibrium(problem: SymmetricShooting, place: CurvePoint) -> tuple[
 
 
 def family_end(points: list[CurvePoint], problem: SymmetricShooting, *, largest: float | None = None) -> FamilyEnd:
-    """Return the end of a family that could not be followed further.
+    """Return the end of a family that could not be followed further, with its cause.
+
+    The cause is found from the equilibrium nearest to the last orbit, and from the energy that the family approaches.
 
     Args:
         points: the last members.
@@ -314,9 +316,7 @@ class Family(Shown, Generic[Member]):
         return self.column("floquet_multipliers")
 
     def frame(self) -> DataFrame:
-        """Return a pandas table, one row per member.
-
-        Energy, period and the largest multiplier's modulus.
+        """Return a pandas table with one row per member: energy, period and the largest multiplier's modulus.
 
         Raises:
             PartMissing: pandas is not installed.

@@ -110,7 +110,7 @@ class SymmetricShooting(Brief):
     quarters: int
 
     def state(self, unknowns: Array) -> Array:
-        """Return the initial state (N,) for given unknowns.
+        """Return the orbit's initial state (N,), on the first fixed set, for given unknowns.
 
         Args:
             unknowns: (c, τ) (n + 1,), τ in s.

@@ -96,7 +96,7 @@ class UnstableManifold(Brief, Generic[Orbit]):
 
     @property
     def branches_are_mirrored(self) -> bool:
-        """True if the symmetry S exchanges the two branches."""
+        """True if the symmetry S exchanges the two branches, so that one of them determines the other."""
         return self.half_turn is not None and self.half_turn[1] < 0
 
     def frame(self, phases: Array) -> Frame:
