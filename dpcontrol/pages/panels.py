@@ -79,15 +79,17 @@ def readable_ticks(axis: Any, unit: str) -> None:
         unit: unit of its values.
     """
     low, high = axis.get_view_interval()
-    between = (1.0, 2.0, 5.0) if high < _LONG * low else (1.0,)
-    axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if high < _FEW * low else LogLocator(subs=between))
+    multiples = (1.0, 2.0, 5.0) if high < _LONG * low else (1.0,)
+    axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if high < _FEW * low else LogLocator(subs=multiples))
     if unit or high < _LONG * low:
         axis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, unit)))
     axis.set_minor_formatter(NullFormatter())
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
-    """Return a curve (K, D) as runs within one period about zero, split at the bounds.
+    """Return a curve (K, D) as stretches within one period about zero, split where it leaves the period.
+
+    A stretch extends one point beyond its bounds, so that it is drawn up to the frame.
 
     Args:
         curve: (K, D) in any unit.
@@ -96,12 +98,11 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
     lengths = np.array([period or 0.0 for period in periods])
     turns = np.rint(curve / np.where(lengths, lengths, np.inf))
     breaks = np.flatnonzero((np.diff(turns, axis=0) != 0).any(axis=1)) + 1
-    runs = []
+    stretches = []
     for start, end in zip(np.r_[0, breaks], np.r_[breaks, len(curve)], strict=True):
-        # One point beyond each end extends runs to the frame.
         low, high = max(start - 1, 0), min(end + 1, len(curve))
-        runs.append(curve[low:high] - turns[start] * lengths)
-    return [run for run in runs if len(run) > 1]
+        stretches.append(curve[low:high] - turns[start] * lengths)
+    return [stretch for stretch in stretches if len(stretch) > 1]
 
 
 def name_curves(axes: Axes, names: Sequence[tuple[Any, ...]]) -> None:
@@ -183,19 +184,21 @@ def draw_graph(axes: Axes, graph: "nx.MultiDiGraph[str]", title: str) -> None:
     for source, target in dict.fromkeys(graph.edges()):
         connections = [data["connection"] for data in graph.get_edge_data(source, target).values()]
         ends, bend, shrink = np.array([places[source], places[target]]), 0.25, 28.0
-        middle = ends.mean(axis=0) + 0.18 * (ends[1] - ends[0])[::-1] * (1, -1)
+        label_place = ends.mean(axis=0) + 0.18 * (ends[1] - ends[0])[::-1] * (1, -1)
+        # An arrow from an orbit to itself is a loop above its disc.
         if source == target:
             ends, bend, shrink = ends + np.array([(-0.12, 0.38), (0.12, 0.38)]), -3.5, 0.0
-            middle = places[source] + (0.0, 0.95)
+            label_place = places[source] + (0.0, 0.95)
         look = {"connectionstyle": f"arc3,rad={bend}", "color": style.CART, "shrinkA": shrink, "shrinkB": shrink}
         axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", **look})
         text = f"{len(connections)}, {sum(c.symmetric for c in connections)} symmetric"
-        axes.text(float(middle[0]), float(middle[1]), text, ha="center", va="center", color=style.INK)
+        axes.text(float(label_place[0]), float(label_place[1]), text, ha="center", va="center", color=style.INK)
     axes.axis("off")
     axes.set(title=title, xlim=(-2.2, 2.2), ylim=(-1.5, 1.5), aspect="equal")
 
 
 BESIDE = "label beside a point"
+"""Identifier of labels that the layout engine may move."""
 
 
 def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str, *, weight: str = "bold") -> None:

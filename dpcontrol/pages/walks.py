@@ -32,6 +32,7 @@ from dpcontrol.walks.shadowing import ShadowingOrbit
 NEAR = 1e-3
 """Scaled distance from a periodic orbit at which flights end and wraps begin, as for connection times."""
 _PER_PERIOD = 120
+"""Samples in a period of the fastest periodic orbit."""
 _MOST_SAMPLES = 40_000
 _TIME = colormaps["viridis"]
 _DOTS = 15_000
@@ -80,8 +81,10 @@ class WalkStory:
     def stays(self) -> tuple[Stay, ...]:
         """Periods near the periodic orbits with their wraps: before the walk, at each stop, and after it."""
         orbit, chain = self.orbit, self.orbit.connections
-        arrivals = [at + c.time_in for at, c in zip(orbit.symbol_times.tolist(), chain, strict=True)]
-        departures = [at - c.time_out for at, c in zip(orbit.symbol_times.tolist(), chain, strict=True)]
+        arrivals = [symbol_time + c.time_in for symbol_time, c in zip(orbit.symbol_times.tolist(), chain, strict=True)]
+        departures = [
+            symbol_time - c.time_out for symbol_time, c in zip(orbit.symbol_times.tolist(), chain, strict=True)
+        ]
         saddles, wraps = [chain[0].source.saddle, *(c.target.saddle for c in chain)], orbit.wraps_realised
         wraps = (wraps[-1], *wraps) if orbit.periodic else (orbit.lead_in, *wraps, orbit.lead_out)
         edges = zip([0.0, *arrivals], [*departures, orbit.duration], saddles, wraps, strict=True)
@@ -116,7 +119,7 @@ class WalkStory:
         )
 
     def nearness(self) -> Chart:
-        """Return the distances between the orbit and the periodic orbits."""
+        """Return the chart of the distances between the walk and its periodic orbits, scaled as for counting wraps."""
         lines = tuple(
             Line(
                 saddle,
@@ -166,12 +169,12 @@ def draw_shape(axes: Axes, story: WalkStory) -> None:
         story: walk to draw.
     """
     orbit, system = story.orbit, story.orbit.system
-    picked = [0, 1, system.dimension // 2][: 3 if story.has_angles else 2]
+    columns = [0, 1, system.dimension // 2][: 3 if story.has_angles else 2]
     for copy, saddle in _base_orbits(story):
-        axes.plot(*copy[:, picked].T, color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
+        axes.plot(*copy[:, columns].T, color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
     times = np.linspace(0.0, orbit.duration, _DOTS)
-    axes.scatter(*orbit.states(times)[:, picked].T, c=times, cmap=_TIME, s=1.0, rasterized=True)
-    for point, time in zip(orbit.states(orbit.symbol_times)[:, picked], orbit.symbol_times, strict=True):
+    axes.scatter(*orbit.states(times)[:, columns].T, c=times, cmap=_TIME, s=1.0, rasterized=True)
+    for point, time in zip(orbit.states(orbit.symbol_times)[:, columns], orbit.symbol_times, strict=True):
         axes.plot(*point[:, None], "o", color=_TIME(time / orbit.duration), markersize=5, markeredgecolor="white")
     if story.has_angles:
         quiet_space(axes, system, "The orbit, angles with whole turns counted; dark to light: time")
@@ -182,10 +185,15 @@ def draw_shape(axes: Axes, story: WalkStory) -> None:
 
 
 def _base_orbits(story: WalkStory) -> list[tuple[Array, str]]:
-    """Return each periodic orbit as a closed curve (M, N) at the lattice points of the walk."""
+    """Return the periodic orbits where the walk passes them, with their saddles: closed curves (M, N) of states.
+
+    A walk that turns over passes an orbit again whole turns away, where another copy of it is drawn.
+    """
     chain, offsets = story.orbit.connections, story.orbit.offsets
     closed = {name: np.vstack([curve.samples, curve.samples[:1]]) for name, curve in story.curves.items()}
-    turn = chain[0].source.system.turn_lengths
+    turn_lengths = chain[0].source.system.turn_lengths
     names = [chain[0].source.saddle, *(c.target.saddle for c in chain)]
-    places = {(name, tuple(offset)): closed[name] + offset * turn for name, offset in zip(names, offsets, strict=True)}
-    return [(curve, name) for (name, _), curve in places.items()]
+    copies = {
+        (name, tuple(offset)): closed[name] + offset * turn_lengths for name, offset in zip(names, offsets, strict=True)
+    }
+    return [(curve, name) for (name, _), curve in copies.items()]
