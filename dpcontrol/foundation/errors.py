@@ -111,6 +111,7 @@ class Mistakes:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        """Keep a mistake that was raised in the block, and suppress its error; other errors are passed on."""
         if isinstance(error, InputError):
             self.errors += error.errors
         return isinstance(error, InputError)

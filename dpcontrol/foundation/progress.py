@@ -164,6 +164,7 @@ def announce(cost: Cost, *, yes: bool, above: float = ANNOUNCED_FROM) -> None:
 
 
 def _time(seconds: float) -> str:
+    """Return a duration in days, hours, minutes or seconds, in the largest unit that gives a number well above one."""
     for size, unit, above in ((86400.0, "days", 48 * 3600.0), (3600.0, "hours", 5400.0), (60.0, "minutes", 90.0)):
         if seconds >= above:
             return f"{_rounded(seconds / size)} {unit}"
@@ -180,4 +181,5 @@ def size_text(memory: float) -> str:
 
 
 def _rounded(value: float) -> str:
+    """Return a number with two significant digits, without an exponent, since predictions are no more accurate."""
     return f"{float(f'{value:.2g}'):,.10g}"

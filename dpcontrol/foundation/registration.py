@@ -34,6 +34,7 @@ class _RegisteringLoader(SourceFileLoader):
     """Python's loader of a package, after which the environments are registered."""
 
     def exec_module(self, module: ModuleType) -> None:
+        """Import the package, then register the environments in it."""
         super().exec_module(module)
         register_environments()
 
