@@ -16,7 +16,14 @@ from dpcontrol.words.table import Line, TextTable
 
 @dataclass
 class Call:
-    """Output options of one call of the program; `aside` is open while the verb works."""
+    """Output options of one call of the program.
+
+    Attributes:
+        as_json: True to print the result as a JSON document.
+        debug: True to print tracebacks and the warnings of libraries.
+        shown: True from when the result is printed.
+        aside: contexts that are open while the verb works, such as the one that keeps stdout clean.
+    """
 
     as_json: bool = False
     debug: bool = False
@@ -57,10 +64,11 @@ def prints_on_stderr() -> Iterator[None]:
     with redirect_stdout(sys.stderr), ExitStack() as stack:
         # Either stream may be closed.
         with suppress(OSError):
-            before = os.dup(1)
-            stack.callback(os.close, before)
+            copy_of_stdout = os.dup(1)
+            stack.callback(os.close, copy_of_stdout)
+            # Compiled code and other processes write to the descriptor directly.
             os.dup2(2, 1)
-            stack.callback(os.dup2, before, 1)
+            stack.callback(os.dup2, copy_of_stdout, 1)
             if sys.__stdout__ is not None:
                 stack.callback(sys.__stdout__.flush)
         yield
@@ -89,6 +97,7 @@ def print_message(text: str) -> None:
 
 
 def _print(line: Line) -> None:
+    """Print a line of a result: a text, a table, or a page in Markdown."""
     if isinstance(line, str):
         click.echo(printable(line))
         return
@@ -105,7 +114,11 @@ def _print(line: Line) -> None:
 
 
 def _rich_table(shown: TextTable) -> Any:
-    """Return a table for the terminal; brackets in its cells are not markup."""
+    """Return the rich library's table of a table of texts, without a meaning of brackets in its cells.
+
+    Args:
+        shown: table of texts.
+    """
     from rich.table import Table
     from rich.text import Text
 

@@ -39,4 +39,5 @@ def charts(result: Any) -> Iterator[Line]:
 
 
 def _paragraph(text: str) -> str:
+    """Return a text wrapped to 110 characters and indented, as a paragraph below the name of a file."""
     return fill(text, 110, initial_indent="  ", subsequent_indent="  ")
