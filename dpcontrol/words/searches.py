@@ -135,7 +135,10 @@ def _searched(r: Any) -> str:
 
 
 def _on_laps(r: Any) -> str:
-    """Return the sentence on a search in which one orbit turns over (laps), so that only one crossing is searched."""
+    """Return the sentence on a search in which the tube of one orbit crosses the section on every lap of the orbit.
+
+    Only some of these crossings are searched, so the number of connections is no total.
+    """
     cut, orbit = next((cut, orbit) for cut, orbit in zip(r.cuts, (r.source, r.target), strict=True) if orbit.laps)
     if not r.connections:
         crossings = f"none at crossings {r.first} to {cut.hit} of {cut.section.name}"
