@@ -1382,11 +1382,13 @@ def learn(
     if not files:
         raise InputError("logs = []: give at least one log")
     runs, names = [open_log(file) for file in files], [file.name for file in files]
-    last = runs[-1].log.metadata
+    last_metadata = runs[-1].log.metadata
     with chosen_name(
         out,
-        Path("models") / f"{last.get('itinerary', 'run')}-learnt.toml",
-        lambda file: models.check_model_replaced(file, logs=names, starting_model=last.get("model", ""), force=force),
+        Path("models") / f"{last_metadata.get('itinerary', 'run')}-learnt.toml",
+        lambda file: models.check_model_replaced(
+            file, logs=names, starting_model=last_metadata.get("model", ""), force=force
+        ),
     ) as file:
         learnt_model = runs[-1].learn(runs[:-1], progress=progress)
         return learnt_model if file is None else learnt_model.written_to(file)
@@ -2741,19 +2743,19 @@ def review(
         raise InputError("stretch is given without film: give the film too")
     paths = [Path(files)] if isinstance(files, str | Path) else [*map(Path, files)]
     progress("reading", 0.05)
-    shown = viewer.opened(paths, symbol=align)
+    content = viewer.opened(paths, symbol=align)
     recording = None if save is None else Path(save)
     progress("recording", 0.2)
     if recording is not None:
-        renderers.record(shown, recording)
+        renderers.record(content, recording)
     elif picture is None and film is None:
-        recording = viewer.view_in_window(shown, paths[0].stem)
+        recording = viewer.view_in_window(content, paths[0].stem)
     if film is not None:
-        films.write_film(shown, film, stretch=stretch, yes=yes, progress=progress)
+        films.write_film(content, film, stretch=stretch, yes=yes, progress=progress)
     if picture is not None:
         progress("picture", 0.5)
-        _save(render(shown), picture)
-    aligned = getattr(shown, "status", None) if len(paths) > 1 else None
+        _save(render(content), picture)
+    aligned = getattr(content, "status", None) if len(paths) > 1 else None
     return viewer.Review(tuple(paths), recording, None if film is None else Path(film), aligned)
 
 
@@ -3431,17 +3433,17 @@ def _edges(searches: Sequence[tubes.ConnectionSearch]) -> graphs.Edges:
     if not searches:
         raise InputError("found = []: give a graph, or one search for connections at least")
     first_orbit = searches[0].source
-    for one in searches:
-        first_orbit.system.check_same(one.source.system)
-    if len({one.energy for search in searches for one in (search.source, search.target)}) > 1:
+    for item in searches:
+        first_orbit.system.check_same(item.source.system)
+    if len({item.energy for search in searches for item in (search.source, search.target)}) > 1:
         raise InputError("the connections are of different energies: a walk keeps one")
     return graphs.Edges(
         system=first_orbit.system,
         energy=first_orbit.energy,
-        orbits={one.saddle: one for search in searches for one in (search.source, search.target)},
+        orbits={item.saddle: item for search in searches for item in (search.source, search.target)},
         absent=(),
         searched=tuple((search.source.saddle, search.target.saddle) for search in searches),
-        connections=tuple(one for search in searches for one in search.connections),
+        connections=tuple(item for search in searches for item in search.connections),
         incomplete=(),
     )
 

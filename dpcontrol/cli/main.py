@@ -44,6 +44,7 @@ class _Verbs(click.Group):
             show_warning, printed = warnings.showwarning, set[str]()
 
             def show(message: Warning | str, category: type[Warning], file: str, *place: Any) -> None:
+                """Print a remark that is new; pass on other warnings if the user can do something about them."""
                 if not issubclass(category, Remark):
                     # Warnings from a user's own law or plant are for the user.
                     if ctx.obj.debug or not file.startswith(_INSTALLED):

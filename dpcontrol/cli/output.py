@@ -123,6 +123,7 @@ def _rich_table(shown: TextTable) -> Any:
     from rich.text import Text
 
     def texts(cells: Iterable[str]) -> Iterator[Text]:
+        """Return cells as texts that rich does not read as markup."""
         return (Text(printable(cell)) for cell in cells)
 
     table = Table(title=Text(printable(shown.title)) if shown.title else None, title_justify="left", title_style="bold")

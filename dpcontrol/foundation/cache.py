@@ -157,8 +157,8 @@ class CacheContents(Documented):
     def sentence(self) -> str:
         """The contents and the folder, in one sentence."""
         count = "1 entry" if self.entries == 1 else f"{self.entries} entries"
-        what = f"{count}, {self.bytes / 1e6:.1f} MB"
-        return f"emptied {self.folder}: {what}" if self.emptied else f"{self.folder} holds {what}"
+        content = f"{count}, {self.bytes / 1e6:.1f} MB"
+        return f"emptied {self.folder}: {content}" if self.emptied else f"{self.folder} holds {content}"
 
     def __repr__(self) -> str:
         return f"<cache: {self.sentence}>"

@@ -40,6 +40,7 @@ def checked(function: Function) -> Function:
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
+        """Check the arguments, then call the function with a receiver of progress reports if it takes one."""
         signature, hints = _signature(function), annotations_of(function)
         bound = signature.bind(*args, **kwargs)
         for name, value in bound.arguments.items():
@@ -159,9 +160,11 @@ def _plain_kinds() -> dict[Any, _Kind]:
     import numpy as np
 
     def is_number(value: Any, kind: Any) -> bool:
+        """Return True for a finite number of a kind; True and False, which Python counts as whole numbers, are none."""
         return isinstance(value, kind) and not isinstance(value, bool) and is_finite(value)
 
     def is_array(value: Any) -> bool:
+        """Return True for a NumPy array of finite real numbers of any shape."""
         return isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and bool(np.isfinite(value).all())
 
     return {
@@ -210,6 +213,7 @@ def _kind(hint: Any) -> _Kind:
         entry_kind, count = _kind(inner[0]), f"{len(kinds_by_position)} values" if kinds_by_position else "a list"
 
         def fit(value: Any) -> bool:
+            """Return True for a list whose entries fit the kinds at their places, or the kind of every entry."""
             entries = kinds_by_position or [entry_kind] * (len(value) if is_list(value) else 0)
             return is_list(value) and len(value) == len(entries) and all(map(lambda k, v: k.fits(v), entries, value))
 

@@ -178,6 +178,7 @@ def printable(text: str, *, json: bool = False) -> str:
     """
 
     def written_out(match: re.Match[str]) -> str:
+        """Return the escape sequence of one character."""
         code = ord(match[0])
         if json:
             return f"\\u{code:04x}"

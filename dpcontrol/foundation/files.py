@@ -186,6 +186,7 @@ def chosen_name(
     """
 
     def checked(file: Path) -> Path:
+        """Return a name that has passed the check."""
         check(file)
         return file
 

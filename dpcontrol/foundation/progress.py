@@ -49,6 +49,7 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
     """
 
     def report(what: str, done: float) -> None:
+        """Report the completed share of the part as a share of the whole work."""
         progress(what, low + (high - low) * done)
 
     return report
@@ -64,15 +65,16 @@ def lines(label: str) -> Progress:
     Args:
         label: begin of each line.
     """
-    began = last = time.monotonic()
+    start = last = time.monotonic()
 
     def report(what: str, done: float) -> None:
+        """Write a line if twenty seconds have passed since the last one."""
         nonlocal last
         # A full disk or a closed reader does not stop the work.
         with suppress(OSError):
             if (now := time.monotonic()) - last >= _LINE:
                 last = now
-                text = f"{printable(label)}: {printable(what)}, {done:.0%} after {now - began:.0f} s"
+                text = f"{printable(label)}: {printable(what)}, {done:.0%} after {now - start:.0f} s"
                 sys.stderr.write(f"{text}\n")
                 sys.stderr.flush()
 
@@ -106,6 +108,7 @@ def reporting(progress: Progress | Literal[True] | None, label: str) -> Iterator
     task = bar.add_task(printable(label), total=1.0)
 
     def report(what: str, done: float) -> None:
+        """Show the task and its completed share in the bar, which appears with the first report."""
         bar.start()
         bar.update(task, completed=done, description=printable(what))
 

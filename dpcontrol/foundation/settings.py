@@ -156,8 +156,8 @@ class Setting:
         for item in value if isinstance(value, tuple | list) else (value,):
             if item is not None and (complaint := self.complaint(item)):
                 key = self.key or key
-                where = f"{table}: " if table else ""
-                raise InputError(f"{key} = {shortened(item)}: {complaint}", where=where, table=table, key=key)
+                place = f"{table}: " if table else ""
+                raise InputError(f"{key} = {shortened(item)}: {complaint}", where=place, table=table, key=key)
 
 
 def is_finite(value: Any) -> bool:
@@ -217,16 +217,16 @@ class Leaf:
         Raises:
             InputError: it is of another type, or out of bounds.
         """
-        key, read = key or self.name, _exactly(_plain(value), self.hint)
-        if read is MISSING:
+        key, result = key or self.name, _exactly(_plain(value), self.hint)
+        if result is MISSING:
             from pydantic import ValidationError
 
             try:
-                read = adapter(self.annotation).validate_python(_plain(value), strict=strict)
+                result = adapter(self.annotation).validate_python(_plain(value), strict=strict)
             except ValidationError as error:
                 raise InputError(self._complaint(key, value, error.errors(include_url=False)), key=key) from error
-        self.bounds.check(key, read)
-        return read
+        self.bounds.check(key, result)
+        return result
 
     def _complaint(self, key: str, value: Any, errors: Sequence[Mapping[str, Any]]) -> str:
         """Return the sentence for the user about a value that pydantic rejects.
@@ -443,7 +443,7 @@ class Settings:
             key: field of the settings.
             complaint: what is wrong, such as "must be positive".
         """
-        where = f"{self.TABLE}: " if self.TABLE else ""
+        place = f"{self.TABLE}: " if self.TABLE else ""
         return InputError(
-            f"{key} = {shortened(getattr(self, key))}: {complaint}", where=where, table=self.TABLE, key=key
+            f"{key} = {shortened(getattr(self, key))}: {complaint}", where=place, table=self.TABLE, key=key
         )

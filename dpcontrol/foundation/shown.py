@@ -43,6 +43,7 @@ def _in_json(document: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(document)
     def call(self: Any, *arguments: Any) -> Any:
+        """Return the document of an object as JSON values."""
         return plain(document(self, *arguments))
 
     return call

@@ -153,15 +153,15 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
         runs: phase planes, each with a colour.
         tubes: True to draw the tubes.
     """
-    first, _ = runs[0]
-    number, ends = style.number(first.arm), ", from ○ to ■" if len(runs) == 1 else ""
-    axes.set(title=f"Arm {first.arm + 1}: ω{number} (rad/s) over θ{number}{ends}")
+    first_plane, _ = runs[0]
+    number, ends = style.number(first_plane.arm), ", from ○ to ■" if len(runs) == 1 else ""
+    axes.set(title=f"Arm {first_plane.arm + 1}: ω{number} (rad/s) over θ{number}{ends}")
     for stable, colour, name in ((False, style.UNSTABLE, "tubes from"), (True, style.STABLE, "to them")):
-        if tubes and first.strands[stable]:
-            axes.plot(*_joined(first.strands[stable]), color=colour, linewidth=0.45, alpha=0.35, zorder=1.2)
-            axes.plot(*_joined(first.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5, label=name)
+        if tubes and first_plane.strands[stable]:
+            axes.plot(*_joined(first_plane.strands[stable]), color=colour, linewidth=0.45, alpha=0.35, zorder=1.2)
+            axes.plot(*_joined(first_plane.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5, label=name)
     kinds_in_key: list[str] = []
-    for colour, points in first.orbits:
+    for colour, points in first_plane.orbits:
         # An equilibrium is a single point.
         kind, look = ("orbits", _ORBIT) if len(points) > 3 else ("equilibria", _REST)
         label = kind if kind not in kinds_in_key else None

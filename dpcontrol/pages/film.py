@@ -184,9 +184,9 @@ class Film:
         self.times: Array = np.arange(stretch[0], stretch[1] + 0.5 / RATE, 1 / RATE)
         # A tick at the time of a frame must not be missed by rounding.
         rows = np.searchsorted(view.time, self.times - 1e-9).clip(0, len(view.time) - 1)
-        near = np.abs(view.time[rows] - self.times) <= 2 / min(RATE, view.rate_hz)
+        has_tick = np.abs(view.time[rows] - self.times) <= 2 / min(RATE, view.rate_hz)
         posed = np.isfinite(view.state[rows, : view.arms]).all(axis=1) & np.isfinite(self.pivots[rows])
-        self.rows: NDArray[np.int64] = np.where(near & posed, rows, -1)
+        self.rows: NDArray[np.int64] = np.where(has_tick & posed, rows, -1)
         page = Page("", width=_INCHES).text(view.title, colour=style.INK, size=style.VERDICT)
         (left, right), (low, high) = box = self._box()
         page.row(partial(self._draw_scene, box=box), height=_INCHES * (high - low) / (right - left))
@@ -314,16 +314,20 @@ def write_film(
     if not view.arm_lengths:
         raise InputError(f"{file}: a film shows arms, and this system has none; use --picture")
     begin, end = view.time_range
-    first, last = (begin, end) if stretch is None else (stretch[0], min(stretch[1], end))
-    if not begin <= first < last:
-        raise InputError(f"--stretch {first:g} {last:g}: must be a part of the motion, {begin:.2f} to {end:.2f} s")
-    film = Film(view, (first, last))
+    film_start, film_end = (begin, end) if stretch is None else (stretch[0], min(stretch[1], end))
+    if not begin <= film_start < film_end:
+        raise InputError(
+            f"--stretch {film_start:g} {film_end:g}: must be a part of the motion, {begin:.2f} to {end:.2f} s"
+        )
+    film = Film(view, (film_start, film_end))
     count = len(film.times)
     if count < 2 or (film.rows < 0).all():
-        raise InputError(f"{file}: the motion from {first:g} to {last:g} s has no angles, or is shorter than a frame")
+        raise InputError(
+            f"{file}: the motion from {film_start:g} to {film_end:g} s has no angles, or is shorter than a frame"
+        )
     # A GIF keeps every frame in memory until its end.
     memory = 3e8 + count * film.frame(0).width * film.frame(0).height * (kind == ".gif")
-    name = f"--film {file.name} of {last - first:.0f} s (--stretch takes a part)"
+    name = f"--film {file.name} of {film_end - film_start:.0f} s (--stretch takes a part)"
     announce(Cost(f"{count:,} frames", _SECONDS * count, memory, name), yes=yes)
     with whole_file(file, suffix=kind) as temporary:
         _WRITERS[kind](film, temporary, progress)
@@ -395,7 +399,7 @@ def draw_transitions(reference: Reference) -> Figure:
         "path. Below each picture: duration, and the cart's greatest distance from its start in the middle.",
     )
     for source in names:
-        row = [
+        cells = [
             partial(
                 _cell,
                 view=view,
@@ -406,7 +410,7 @@ def draw_transitions(reference: Reference) -> Figure:
             )
             for target in names
         ]
-        page.row(*row, height=cell * box[1] / box[0] + 0.3 + 0.2 * (source == names[0]))
+        page.row(*cells, height=cell * box[1] / box[0] + 0.3 + 0.2 * (source == names[0]))
     return page.figure()
 
 
@@ -417,9 +421,9 @@ def _ways(view: RunView, transfer: Range) -> tuple[list[int], np.ndarray]:
         view: reference with the transfer.
         transfer: start and end of the transfer, s.
     """
-    first, last = np.searchsorted(view.time, transfer).clip(0, len(view.time) - 1)
-    rows = np.arange(first, last + 1)
-    return rows.tolist(), view.pivot[rows] - view.pivot[first]
+    first_row, last_row = np.searchsorted(view.time, transfer).clip(0, len(view.time) - 1)
+    rows = np.arange(first_row, last_row + 1)
+    return rows.tolist(), view.pivot[rows] - view.pivot[first_row]
 
 
 def _cell(axes: Axes, view: RunView, transfer: Range | None, box: Range, *, title: str, name: str) -> None:

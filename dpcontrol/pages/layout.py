@@ -119,6 +119,7 @@ class Page:
         lines = [heading, *rows] if heading else rows
 
         def draw(axes: Axes) -> None:
+            """Draw the table without lines, with columns as wide as their texts."""
             axes.axis("off")
             table = axes.table(lines, loc="upper left", cellLoc="left", edges="open")
             table.auto_set_font_size(False)
@@ -141,6 +142,7 @@ class Page:
             height = len(lines) * _height(size) + 0.5 * _EDGE
 
             def write(part: SubFigure) -> None:
+                """Write the paragraph into its part of the figure."""
                 place = 0.5 * _EDGE / self.width, 1 - 0.25 * _EDGE / height
                 part.text(*place, "\n".join(lines), fontsize=size, color=colour, va="top", linespacing=_LINE)
 
@@ -430,10 +432,10 @@ def _cost(place: tuple[int, int], label: Any, axes: Axes, taken: list[Bbox], cur
     """
     box, point = _beside(label, place), axes.transData.transform(label.xy)
     end = np.clip(point, box.min, box.max)
-    centres = np.reshape([other.get_points().mean(axis=0) for other in taken], (-1, 2))
+    centres = np.reshape([box_taken.get_points().mean(axis=0) for box_taken in taken], (-1, 2))
     nearer_marks = np.hypot(*(centres - np.clip(centres, box.min, box.max)).T) < np.hypot(*(end - point)) - 1
     crossed_curves = sum(curve.intersects_bbox(box, filled=False) for curve in curves)
-    struck_boxes = sum(LinePath([point, end]).intersects_bbox(other, filled=False) for other in taken)
+    struck_boxes = sum(LinePath([point, end]).intersects_bbox(box_taken, filled=False) for box_taken in taken)
     if not all(axes.bbox.contains(*corner) for corner in (box.min, box.max)):
         return np.inf
     return (

@@ -85,12 +85,12 @@ def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
         summary: campaign with the groups.
     """
     all_bars = _bars_of(summary)
-    shown = all_bars[:_MOST]
-    remark = f"… and {len(all_bars) - len(shown)} groups more" if len(all_bars) > len(shown) else ""
-    colours = _group_colours(summary, [group.family for group, _ in shown])
+    drawn_bars = all_bars[:_MOST]
+    remark = f"… and {len(all_bars) - len(drawn_bars)} groups more" if len(all_bars) > len(drawn_bars) else ""
+    colours = _group_colours(summary, [group.family for group, _ in drawn_bars])
     rows = [
         Bar(label, g.share.rate, colour, (g.share.low, g.share.high), f"{g.share.successes} of {g.share.runs}")
-        for (g, label), colour in zip(shown, colours, strict=True)
+        for (g, label), colour in zip(drawn_bars, colours, strict=True)
     ]
     bars(axes, "Runs completed; lines: Wilson's 95 % interval", rows, x=remark)
     axes.set_xlim(0, 1)
@@ -108,16 +108,16 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     axis_label = "level of each kind of trouble" if by_level else "mismatch, share of each parameter"
     abscissa = "over the level, of all kinds" if by_level else "over the mismatch"
     labels = list(dict.fromkeys(level.label for level in summary.levels))
-    shown = labels[: len(style.RUNS)]
-    remark = f"; first {len(shown)} of {len(labels)} groups" if len(labels) > len(shown) else ""
+    drawn_labels = labels[: len(style.RUNS)]
+    remark = f"; first {len(drawn_labels)} of {len(labels)} groups" if len(labels) > len(drawn_labels) else ""
     axes.set(title=f"Runs completed {abscissa}{remark}", xlabel=axis_label, ylim=(-0.03, 1.03))
     names: list[tuple[float, str, str]] = []
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     reach = max(level.high for level in summary.levels) - min(level.low for level in summary.levels)
-    for k, (label, colour) in enumerate(zip(shown, _group_colours(summary, shown), strict=True)):
+    for k, (label, colour) in enumerate(zip(drawn_labels, _group_colours(summary, drawn_labels), strict=True)):
         levels = [level for level in summary.levels if level.label == label]
         # Groups are offset slightly, so that their intervals do not overlap.
-        x = np.array([(level.low + level.high) / 2 for level in levels]) + 0.006 * reach * (k - len(shown) / 2)
+        x = np.array([(level.low + level.high) / 2 for level in levels]) + 0.006 * reach * (k - len(drawn_labels) / 2)
         low, rates, high = np.array([(level.share.low, level.share.rate, level.share.high) for level in levels]).T
         spread = np.maximum([rates - low, high - rates], 0)
         axes.errorbar(x, rates, yerr=spread, color=colour, marker="o", markersize=4.5, linewidth=1.3, capsize=2)
@@ -145,8 +145,8 @@ def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
 def _draw_reasons(axes: Axes, summary: CampaignSummary) -> None:
     """Draw the numbers of failed runs by cause; beyond six causes the others are counted together."""
     other_count = sum(count for _, count in summary.reasons[6:])
-    shown = [*summary.reasons[:6], *([("other reasons", other_count)] if other_count else [])]
-    bars(axes, "Failed runs by cause", [Bar(text, count, style.LIMIT) for text, count in shown])
+    counts = [*summary.reasons[:6], *([("other reasons", other_count)] if other_count else [])]
+    bars(axes, "Failed runs by cause", [Bar(text, count, style.LIMIT) for text, count in counts])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 

@@ -241,7 +241,7 @@ def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Str
             values=list(colours), colors=[(*style.rgb(colour), 255) for colour in colours.values()]
         )
         columns = rr.StateChange.columns(state=[name for _, name in changes])
-        follow(recording, f"{home}/{strip.key}", look, np.array([at for at, _ in changes]), columns)
+        follow(recording, f"{home}/{strip.key}", look, np.array([moment for moment, _ in changes]), columns)
 
 
 def _changes(strip: Strip, view: RunView) -> tuple[list[tuple[float, str]], dict[str, str]]:

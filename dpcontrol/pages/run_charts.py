@@ -392,9 +392,9 @@ def _extra_chart(view: RunView, extras: Extras, names: list[str], key: str, titl
             shown_values.append(truth)
     all_values = np.concatenate(shown_values)
     finite = all_values[np.isfinite(all_values)]
-    shown = padded(np.quantile(finite, [0.01, 0.99])) if finite.size else None
+    value_range = padded(np.quantile(finite, [0.01, 0.99])) if finite.size else None
     remark = ", dashed: true" if any(line.dashed for line in lines) else ""
-    return Chart(key, title, unit, tuple(lines), shown=shown, note=f", ±2σ{remark}")
+    return Chart(key, title, unit, tuple(lines), shown=value_range, note=f", ±2σ{remark}")
 
 
 def charts(view: RunView) -> dict[str, Chart]:

@@ -152,8 +152,8 @@ def draw_walk(orbit: ShadowingOrbit) -> Figure:
     add_story(page, view)
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
-    shown = [*([charts(view)["angles"]] if walk.has_angles else []), walk.nearness()]
-    panels = [partial(draw_chart, chart=chart, view=view, span=view.time_range) for chart in shown]
+    shown_charts = [*([charts(view)["angles"]] if walk.has_angles else []), walk.nearness()]
+    panels = [partial(draw_chart, chart=chart, view=view, span=view.time_range) for chart in shown_charts]
     shape = Panel(partial(draw_shape, story=walk), 0.75, space=walk.has_angles)
     return page.row(Stack(panels), shape, height=4.4).figure()
 
