@@ -125,7 +125,9 @@ def command(name: str, verb: Verb) -> click.Command:
 
 
 def described(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
-    """Return the text of a function's docstring before its arguments, and the text of each argument.
+    """Return the parts of a function's docstring that the help of its verb shows.
+
+    They are the text before the arguments, and the text of each argument by name.
 
     Args:
         function: documented function, in Google style.

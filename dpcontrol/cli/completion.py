@@ -26,7 +26,7 @@ Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]
 
 
 def completing(values: Values, *, files: bool = False, listed: bool = False) -> Completer:
-    """Return a completer from values.
+    """Return click's completer of a parameter, made from its possible values.
 
     Args:
         values: function that returns the values.

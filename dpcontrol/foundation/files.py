@@ -348,7 +348,7 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
 
 
 def content_hash(*parts: str | bytes) -> str:
-    """Return 16 hexadecimal digits that identify `parts` in order.
+    """Return 16 hexadecimal digits that identify `parts` in order, for the names of cached results and of locks.
 
     Args:
         *parts: bytes, or texts encoded as UTF-8.
@@ -357,6 +357,7 @@ def content_hash(*parts: str | bytes) -> str:
     for part in parts:
         # Names of files can have bytes that are no text.
         data = part.encode(errors="surrogateescape") if isinstance(part, str) else part
+        # The length separates the parts: ("ab", "c") and ("a", "bc") differ.
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
     return digest.hexdigest()[:16]

@@ -17,7 +17,7 @@ _HOME = "dpcontrol.runs.environments"
 
 
 def register_environments() -> None:
-    """Register the environments."""
+    """Register the environments with gymnasium, so that `gymnasium.make("dpcontrol/SwingUp-v0")` makes one."""
     import gymnasium
 
     for name, (definition, steps) in ENVIRONMENTS.items():

@@ -251,7 +251,7 @@ class Leaf:
         )
 
     def schema(self) -> dict[str, Any]:
-        """Return the JSON Schema of the values."""
+        """Return the JSON Schema of the setting's values, by which editors check files."""
         bounds, schema = self.bounds, adapter(self.annotation).json_schema()
         limits = {"minimum": bounds.least, "exclusiveMinimum": bounds.above, "maximum": bounds.most}
         limits = {name: float(value) for name, value in limits.items() if math.isfinite(value)}

@@ -308,7 +308,11 @@ def draw_motions(
 
 
 def draw_atlas(atlas: Atlas) -> Figure:
-    """Return the atlas on one page: tubes, orbits and flights in space, and the cuts of every kind."""
+    """Return the page of an atlas, which holds all that was computed at one energy.
+
+    It shows the periodic orbits, their tubes and the flights along connections in space, and for each kind of connection
+    the cuts of both tubes by the section.
+    """
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     counts = f"{counted(len(atlas.orbits), 'orbit')}, {counted(len(atlas.connections), 'connection')}"
     energy = f"{atlas.energy:g}{atlas.unit('J')}"
@@ -345,7 +349,7 @@ def atlas(axes: Axes, shown: Atlas) -> None:
 
 
 def write_atlas_recording(atlas: Atlas, path: Path) -> None:
-    """Write the recording of an atlas to `path` (`*.rrd`) with its blueprint.
+    """Write an atlas as a recording for the Rerun viewer, with the layout (blueprint) in the same file.
 
     Args:
         atlas: atlas to write.

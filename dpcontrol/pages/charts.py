@@ -19,10 +19,12 @@ _BINS = 1500
 
 
 def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
-    """Return a series (K,) of a view, thinned to its peaks, with nan in its gaps to interrupt lines.
+    """Return a series (K,) with the points that suffice to draw it, and with nan in the gaps of a view.
+
+    The points are the extremes of narrow bins, so that long runs are drawn quickly and keep their peaks.
 
     Args:
-        view: run with the gaps.
+        view: run with the gaps, which interrupt the line.
         time: (K,) s.
         values: (K,) in any unit.
     """
@@ -46,7 +48,7 @@ MOST_MARKED = 20
 def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = None) -> None:
     """Draw a chart's lines, bands, levels and limits.
 
-    A line of a view other than `view` has no gaps.
+    Lines are interrupted at the gaps of `view`, also those of other runs.
 
     Args:
         axes: panel to draw on.

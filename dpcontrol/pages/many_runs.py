@@ -34,7 +34,10 @@ _SYMBOLS = 8
 
 
 def draw_campaign(summary: CampaignSummary) -> Figure:
-    """Return a campaign's page as a figure."""
+    """Return the page of a campaign, many runs of an itinerary with different seeds, as a figure.
+
+    It shows the shares of completed runs by group and by level of trouble, and where and why the others failed.
+    """
     page = Page(f"Campaign {summary.path.stem}", summary.status, summary.good)
     if record := summary.record:
         shared_conditions = conditions([*record["cases"].values()], simulated=True)
@@ -54,11 +57,11 @@ def draw_campaign(summary: CampaignSummary) -> Figure:
 
 
 def _group_colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
-    """Return a colour for each label of a group; the groups of one family have the same colour on the whole page.
+    """Return a colour for each of the labels; one family of groups has the same colour on the whole page.
 
     Args:
         summary: campaign with the groups.
-        labels: families of groups.
+        labels: families of groups, such as a controller and an estimator.
     """
     families = list(dict.fromkeys(group.family for group in summary.groups))
     return [style.RUNS[families.index(label) % len(style.RUNS)] for label in labels]
@@ -168,7 +171,11 @@ _REMAINDER = 5.0
 
 
 def draw_night(night: Night) -> Figure:
-    """Return one page on a night: half-hour strips, times by activity and to return, causes, parameters' drift."""
+    """Return the page of a night: a run of hours that repeats its itinerary and returns to it after falls.
+
+    It shows the activities as rows of a strip, the time of each, the falls by cause, the times until the itinerary was
+    joined again, and the drift of estimated parameters.
+    """
     duration = max(span.end for span in night.spans)
     # Short nights have one row or rows of ten minutes; in long ones a row lasts a multiple of half an hour.
     row_duration = (
@@ -194,7 +201,7 @@ def draw_night(night: Night) -> Figure:
 
 
 def _conditions(night: Night) -> tuple[str, ...]:
-    """Return the conditions of a night by its last log that can be read."""
+    """Return the conditions of a night (model, bench, program), from its last log that can be read."""
     for log in sorted(night.folder.glob("*.mcap"), reverse=True):
         with suppress(InputError):
             return conditions_of(read_log(log).metadata)
@@ -317,7 +324,11 @@ _COLUMNS = 4
 
 
 def draw_preflight(preflight: Preflight) -> Figure:
-    """Return a preflight's page as a figure."""
+    """Return the page of a preflight, the forecast of the first run on a rig, as a figure.
+
+    It shows the bench as described, the endings of simulated runs that failed, the border of each trouble at which half
+    as many runs complete, and the gains by changes of the settings.
+    """
     page = Page(f"Before the first run: {preflight.itinerary}", preflight.status, preflight.likely, width=_WIDTH)
     page.text(preflight.advice, colour=style.INK, size=style.TEXT)
     shortened = partial(shorten, placeholder=" …")

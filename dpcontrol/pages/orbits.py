@@ -39,7 +39,7 @@ _KINDS = {
 
 
 def draw_family(family: LyapunovFamily) -> Figure:
-    """Return the page on a family of Lyapunov orbits as a figure."""
+    """Return the page on a family of Lyapunov orbits: multipliers and periods against energy, and orbits in a plane."""
     page = Page(f"Lyapunov orbits about {family.saddle} of {family.system.name}")
     over = Stack([partial(_multipliers, family=family), partial(_periods, families=[family])])
     page.origin(None, *conditions(family.system, family.energies))
@@ -47,7 +47,10 @@ def draw_family(family: LyapunovFamily) -> Figure:
 
 
 def draw_rotating_families(search: RotatingFamilies) -> Figure:
-    """Return the page on rotating orbits as a figure."""
+    """Return the page on families of periodic orbits that turn an arm over.
+
+    It shows the traces of the section's map, which give the stability, and the periods against energy, and some orbits.
+    """
     families = search.families
     system = families[0].members[0].system
     page = Page(f"Orbits of {system.name} that turn the {search.arm} arm over")

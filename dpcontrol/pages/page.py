@@ -134,7 +134,11 @@ def _chart(axes: Axes, chart: Chart, drawn: Callable[..., None], *, last: bool) 
 
 
 def view_of(result: Any) -> Any:
-    """Return the motion to draw of a run, a plan, a log, a sustained orbit or a walk, or the object itself."""
+    """Return the motion of a result as pages and films draw it, or the object itself if it is one or has none.
+
+    Args:
+        result: run, plan, log, sustained orbit or walk, for example.
+    """
     result = getattr(result, "log", result)
     match result:
         case Plan():
@@ -168,7 +172,10 @@ _FILMED = 2
 
 
 def draw_comparison(comparison: RunComparison) -> Figure:
-    """Return the page of a comparison as a figure."""
+    """Return the page of several runs on one clock, on which a symbol's crossing has the same time in all.
+
+    Each run has its verdict and story, two runs also have films. Charts and phase planes show all runs together.
+    """
     runs = comparison.runs
     page = Page(comparison.title, comparison.status)
     # All films have the times of the run that ends first.

@@ -106,18 +106,18 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
 
 
 def name_curves(axes: Axes, names: Sequence[tuple[Any, ...]]) -> None:
-    """Name curves at the right of a panel, in the order of their ends.
+    """Name curves at the right of a panel, in the order of their ends, as a key beside the curves.
 
     Args:
         axes: panel with the curves.
         names: height of the curve's end in data, text and colour of each name, and its kind of line if not solid.
     """
-    lines = [
-        Line2D([], [], label=text, color=colour, linestyle=line[0] if line else "-")
-        for _, text, colour, *line in sorted(names, reverse=True)
+    handles = [
+        Line2D([], [], label=text, color=colour, linestyle=dashes[0] if dashes else "-")
+        for _, text, colour, *dashes in sorted(names, reverse=True)
     ]
     place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "borderaxespad": 0.4}
-    axes.legend(handles=lines, handlelength=1.4, labelcolor="linecolor", **place)
+    axes.legend(handles=handles, handlelength=1.4, labelcolor="linecolor", **place)
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:

@@ -178,7 +178,7 @@ def trace_rows(view: RunView) -> NDArray[np.int64]:
 
 
 def record_chart(recording: rr.RecordingStream, chart: Chart, view: RunView) -> None:
-    """Record a chart's lines and levels.
+    """Record the lines of a chart and its levels, which are lines of two points.
 
     Args:
         recording: recording to extend.
@@ -223,7 +223,7 @@ def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array =
 
 
 def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Strip], view: RunView) -> None:
-    """Record strips of named states, each from its start time, s.
+    """Record strips as states that change over time, which the viewer draws as coloured bands with their texts.
 
     Args:
         recording: recording to extend.

@@ -195,7 +195,7 @@ def _shown(lines: tuple[Line, ...]) -> tuple[float, float]:
 
 
 def _limits(view: RunView, which: int) -> tuple[LevelLine, ...]:
-    """Return a limit of the cart as two levels.
+    """Return a limit of the cart as two levels of a chart, none without limits.
 
     Args:
         view: run or reference.
@@ -232,7 +232,14 @@ def check_charts(view: RunView) -> tuple[Chart, ...]:
 
 
 def _source_charts(view: RunView, source: Reference) -> tuple[Chart, ...]:
-    """Return a reference's cart velocity, which has a limit, and its errors between nodes on its mesh."""
+    """Return two charts of a reference: the cart's velocity, which is limited, and the errors between nodes.
+
+    The errors of direct collocation are known for each interval of the mesh, so their line is a staircase.
+
+    Args:
+        view: reference as a motion.
+        source: reference with its mesh.
+    """
     speed = (Line("cart", "cart", "", view.time, view.state[:, -1], style.PLANT),)
     velocity = Chart("velocity", "Cart velocity", "m/s", speed, shown=_shown(speed), levels=_limits(view, 1))
     title = f"Error between nodes of {len(source.mesh) - 1} intervals of {source.method.name} (scaled)"

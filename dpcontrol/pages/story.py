@@ -43,7 +43,7 @@ class Strip:
 
 
 def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
-    """Return the strips of itinerary (planned and flown), symbols and modes that exist.
+    """Return the strips of a run's story that exist: planned and done itinerary, symbols, activities, and modes.
 
     Args:
         view: run to draw.

@@ -79,7 +79,11 @@ class WalkStory:
 
     @cached_property
     def stays(self) -> tuple[Stay, ...]:
-        """Periods near the periodic orbits with their wraps: before the walk, at each stop, and after it."""
+        """Periods near the periodic orbits of the walk: before the first symbol, at each stop, and after the last one.
+
+        A symbol is a flight along a connection. It ends the stay at its source and begins that at its target, before
+        and after the time of its section crossing. The label of a stay is the number of wraps about the orbit.
+        """
         orbit, chain = self.orbit, self.orbit.connections
         arrivals = [symbol_time + c.time_in for symbol_time, c in zip(orbit.symbol_times.tolist(), chain, strict=True)]
         departures = [
@@ -87,6 +91,7 @@ class WalkStory:
         ]
         saddles, wraps = [chain[0].source.saddle, *(c.target.saddle for c in chain)], orbit.wraps_realised
         wraps = (wraps[-1], *wraps) if orbit.periodic else (orbit.lead_in, *wraps, orbit.lead_out)
+        # A flight leaves its source `time_out` before its crossing, and joins its target `time_in` after it.
         edges = zip([0.0, *arrivals], [*departures, orbit.duration], saddles, wraps, strict=True)
         first, *inner, last = (Stay(start, end, saddle, f"{saddle} {count}×") for start, end, saddle, count in edges)
         stays = [first, *inner, last]
@@ -98,7 +103,7 @@ class WalkStory:
 
     @property
     def view(self) -> RunView:
-        """The walk as a `RunView` with its stays and symbols."""
+        """The walk as a `RunView`, the motion that pages and films draw, with its stays and symbols."""
         orbit, count, system = self.orbit, len(self.orbit.symbol_times), self.orbit.system
         kind = "A periodic orbit" if orbit.periodic else "An orbit"
         energy = f"{orbit.connections[0].source.energy:g}{system.unit('J')}"
@@ -136,14 +141,14 @@ class WalkStory:
 
 
 def _symbol_text(connection: Connection) -> str:
-    """Return a connection's symbol, such as "down-up > up-down -"."""
+    """Return the symbol of a connection as users write it, such as "down-up > up-down -", with its sense."""
     sense = "+" if connection.sense > 0 else "-"
     source, target = connection.source.saddle, connection.target.saddle
     return f"{source} {sense}" if source == target else f"{source} > {target} {sense}"
 
 
 def draw_walk(orbit: ShadowingOrbit) -> Figure:
-    """Return the page of a walk as a figure."""
+    """Return the page of an orbit that follows a walk: story, film, angles, distances and shape."""
     walk = WalkStory(orbit)
     view = walk.view
     page = Page(view.title, view.verdict).origin(

@@ -1,4 +1,7 @@
-"""Sentences and remedies of commissioning's findings, by step and cause."""
+"""Sentences and remedies of commissioning's findings, by step and cause.
+
+`f` are the numbers and names of a finding, `c` the measured values that [run] of the itinerary should have.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

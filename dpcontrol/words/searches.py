@@ -1,4 +1,7 @@
-"""Sentences on orbits, tubes, connections and walks."""
+"""Sentences on orbits, tubes, connections and walks.
+
+`r` is the result that is put into words: of a search, or of a part of it, with the numbers that belong to its cause.
+"""
 
 import math
 from collections.abc import Callable, Mapping
