@@ -194,7 +194,7 @@ def _parameters(
 
 
 def _kinds(hint: Any) -> list[Any]:
-    """Return the alternatives of a type, without None and annotations."""
+    """Return the types that a parameter accepts, without None and annotations, by which its text is read."""
     if get_origin(hint) is Annotated:
         return _kinds(get_args(hint)[0])
     if get_origin(hint) in (Union, UnionType):

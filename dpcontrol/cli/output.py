@@ -75,7 +75,7 @@ def prints_on_stderr() -> Iterator[None]:
 
 
 def print_json(document: Mapping[str, Any]) -> None:
-    """Print the one JSON document of a call.
+    """Print the JSON document of a call, of which each call has one, with control characters escaped.
 
     Args:
         document: nested mappings, lists, arrays and scalars.
@@ -86,7 +86,7 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def print_message(text: str) -> None:
-    """Print a line on stderr, beside the answer.
+    """Print a message as a line on stderr, since stdout is for the result alone.
 
     Args:
         text: one line.

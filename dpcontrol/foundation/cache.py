@@ -53,7 +53,7 @@ def cache_root() -> Path:
 
 
 def cache_file(kind: str, name: str, key: str) -> Path:
-    """Return the path for a result of one of the `KINDS`.
+    """Return the path under which a result of one of the `KINDS` is cached.
 
     Args:
         kind: one of the `KINDS`.
@@ -194,7 +194,7 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
 
 
 def commit() -> str:
-    """Return the commit of the checkout, or "" if installed."""
+    """Return the commit of a checkout of the sources, "" for an installed package, for the metadata of logs."""
     root = PACKAGE.parent
     if not (root / ".git").exists():
         return ""

@@ -116,7 +116,7 @@ def check(name: str, value: Any, hint: Any) -> None:
 
 
 def number(name: str, value: Any) -> float:
-    """Return a finite number as a float.
+    """Check that an argument is a finite number, and return it as a float.
 
     Args:
         name: argument, for the message.
@@ -130,7 +130,7 @@ def number(name: str, value: Any) -> float:
 
 
 def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
-    """Return `count` finite numbers.
+    """Check that an argument is a sequence of `count` finite numbers, and return them as floats.
 
     Args:
         name: argument, for the message.

@@ -121,7 +121,7 @@ def _row(value: Any, columns: str) -> dict[str, Any]:
 
 
 def picked(result: Any, *names: str) -> dict[str, Any]:
-    """Return attributes of a result by name.
+    """Return some attributes of a result by name, as a part of its document.
 
     Args:
         result: any object.

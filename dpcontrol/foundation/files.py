@@ -201,7 +201,7 @@ def chosen_name(
 
 
 def checked_source(path: Path | str) -> Path:
-    """Return the path of a regular or missing file to read.
+    """Return the path of a file to read, after a check that it is a regular file or missing.
 
     Args:
         path: file to read; links are followed.
@@ -247,7 +247,7 @@ def checked_size(size: float, what: str = "it", *, most: int = MOST_UNPACKED) ->
 
 
 def checked_other_file(out: Path, source: Path | str, *, what: str, option: str = "--out") -> None:
-    """Reject a target that is the file being read.
+    """Reject a file to write that is the file being read, by any name, because its content would be lost.
 
     Args:
         out: file to write.
@@ -263,7 +263,7 @@ def checked_other_file(out: Path, source: Path | str, *, what: str, option: str 
 
 
 def in_the_way(path: Path | str, what: str) -> InTheWay:
-    """Return the error of a file that is not replaced.
+    """Return the error of a file with other content, which a command does not replace without --force.
 
     Args:
         path: the existing file.

@@ -66,7 +66,7 @@ def catching_interrupts() -> Iterator[None]:
 
 @contextmanager
 def _as_interrupt() -> Iterator[None]:
-    """Raise KeyboardInterrupt instead of another error, or of none, after an interrupt."""
+    """Raise KeyboardInterrupt at the end of the block if it was interrupted, even if other code hid the interrupt."""
     try:
         yield
     except Exception as error:

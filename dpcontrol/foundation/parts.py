@@ -41,7 +41,7 @@ _NEEDED = {
 
 
 def part(name: str) -> Any:
-    """Import and return a package.
+    """Import and return an optional package, or explain its installation.
 
     Args:
         name: name for `import`.

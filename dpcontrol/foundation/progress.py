@@ -40,7 +40,7 @@ def no_progress(what: str, done: float) -> None:
 
 
 def part_of(progress: Progress, low: float, high: float) -> Progress:
-    """Return a progress function that maps 0 to 1 to the range from `low` to `high` of the whole work.
+    """Return a progress function for a part of the work, whose 0 to 1 are `low` to `high` of the whole work.
 
     Args:
         progress: progress function of the whole work.
@@ -175,7 +175,7 @@ def _time(seconds: float) -> str:
 
 
 def size_text(memory: float) -> str:
-    """Return a size with its unit.
+    """Return a size of memory as text with its unit, MB or GB.
 
     Args:
         memory: bytes.

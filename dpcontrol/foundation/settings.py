@@ -25,7 +25,7 @@ from dpcontrol.foundation.units import unusual
 
 
 def suggest(value: str, choices: Iterable[str]) -> str:
-    """Return the allowed values as a text, the nearest spelling first.
+    """Return the allowed values as the end of an error's sentence, the nearest spelling first.
 
     Args:
         value: value given by the user.
@@ -161,7 +161,7 @@ class Setting:
 
 
 def is_finite(value: Any) -> bool:
-    """Return True if a number fits in a finite double.
+    """Return True if a number is finite and fits in a double, which whole numbers of any size need not.
 
     Args:
         value: real number of any type.
@@ -285,7 +285,7 @@ def _nested(schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def frozen(value: Any) -> Any:
-    """Return a value with tuples in place of lists.
+    """Return a value with tuples in place of lists, as the fields of frozen dataclasses have them.
 
     Args:
         value: value of TOML or JSON.

@@ -91,7 +91,7 @@ class Pairing:
 
 
 def paired(first: ArrayLike, second: ArrayLike) -> Pairing:
-    """Compare the outcomes of two controllers on the same seeds.
+    """Compare two controllers by the seeds on which only one of them succeeds, with McNemar's exact test.
 
     Args:
         first: outcomes (K,) of one controller, True for success.

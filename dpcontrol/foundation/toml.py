@@ -124,7 +124,7 @@ class Place:
             raise error.under(f"{self} ", table=self.table) from error
 
     def error(self, key: str, value: Any, complaint: str) -> InputError:
-        """Return the error of a key's value.
+        """Return the error of a key's value at this place, as an exception to raise.
 
         Args:
             key: key of the table.
@@ -196,7 +196,7 @@ class Table:
 
 @cache
 def table_of(kind: Any) -> Table:
-    """Return the table of a settings dataclass.
+    """Return the table of a file that makes a settings dataclass, with a key for each setting.
 
     Args:
         kind: dataclass derived from `Settings`; one with a `kind` allows this key with its value.

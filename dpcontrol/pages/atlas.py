@@ -310,8 +310,8 @@ def draw_motions(
 def draw_atlas(atlas: Atlas) -> Figure:
     """Return the page of an atlas, which holds all that was computed at one energy.
 
-    It shows the periodic orbits, their tubes and the flights along connections in space, and for each kind of connection
-    the cuts of both tubes by the section.
+    It shows the periodic orbits, their tubes and the flights along connections in space. For each kind of connection it
+    shows the cuts of both tubes by the section.
     """
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     counts = f"{counted(len(atlas.orbits), 'orbit')}, {counted(len(atlas.connections), 'connection')}"
@@ -338,7 +338,7 @@ def _draw_whole(axes: Axes, atlas: Atlas) -> None:
 
 
 def atlas(axes: Axes, shown: Atlas) -> None:
-    """Draw the cuts of the first kind of connections.
+    """Draw the cuts of the kind with most connections, the chart of an atlas that fits in one panel.
 
     Args:
         axes: panel to draw on.
@@ -394,7 +394,7 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
 
 
 def _path(name: str) -> str:
-    """Return a name as one part of a path in a recording, without separators."""
+    """Return a name as one part of a path in a recording, where only letters and digits are kept."""
     return "".join(letter if letter.isalnum() else "_" for letter in name)
 
 

@@ -20,12 +20,12 @@ from dpcontrol.walks.atlas import Atlas
 
 @cache
 def model_named(name: str) -> Model:
-    """Return a model, loaded once for all figures."""
+    """Return a shipped model by name, loaded once for all figures of the paper."""
     return load_model(name)
 
 
 def atlas_at(energy: float, *, model: str = "lab", hits: tuple[int, int] | None = (1, 1)) -> Atlas:
-    """Return a cached atlas.
+    """Return the atlas of an energy, from the cache if it was computed before, for a figure of the paper.
 
     Args:
         energy: energy in the model's unit.

@@ -271,7 +271,7 @@ class Film:
         return Image.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy())
 
     def frames(self, progress: Progress = no_progress) -> Iterator[Image.Image]:
-        """Yield the frames in order.
+        """Yield the frames of the film in order, as the writers of all formats take them.
 
         Args:
             progress: called with a label and the completed share.
@@ -458,6 +458,7 @@ def _cell(axes: Axes, view: RunView, transfer: Range | None, box: Range, *, titl
     axes.axhline(0.0, color=style.GRID, linewidth=1.0, zorder=0)
     for share in np.linspace(0, 1, _POSES) if len(rows) > 1 else (1.0,):
         k, shade = round(share * (len(rows) - 1)), _FAINTEST + (1 - _FAINTEST) * share**2
+        # The last pose has the whole path of the tip.
         draw_pose(axes, view, (rows[0 if share == 1 else k], rows[k]), at=cart[k], thick=1.5, shade=shade)
     if len(rows) > 1:
         text = f"{transfer[1] - transfer[0]:.3g} s, {100 * np.abs(cart).max():.0f} cm"

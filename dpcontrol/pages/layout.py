@@ -86,7 +86,7 @@ class Page:
     rows: list[tuple[float, Callable[[SubFigure], None]]] = field(default_factory=list)
 
     def row(self, *items: Item, height: float) -> "Page":
-        """Add panels beside one another.
+        """Add a row of panels beside one another below the rows that the page has.
 
         Args:
             *items: panels, stacks or functions that draw.
@@ -254,7 +254,7 @@ class ShownFigure(Figure):
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure.
+    """Return an empty figure without pyplot, on which matplotlib's constrained layout arranges the panels.
 
     Args:
         width: width in inches.
@@ -304,7 +304,7 @@ def save_figure(figure: Figure, path: Path | str) -> None:
 
 @cache
 def text_width(text: str, size: float) -> float:
-    """Return the width of a line of text as drawn, inches.
+    """Return the width of a line of text as drawn, inches, by which texts are wrapped and placed.
 
     Args:
         text: text of the line.

@@ -281,7 +281,7 @@ def run_path(k: int, run: ComparedRun) -> str:
 
 
 def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
-    """Write the recording of a comparison to `path` (`*.rrd`).
+    """Write the comparison of several runs as a recording for the Rerun viewer, with all runs in the same charts.
 
     Args:
         comparison: runs to write.

@@ -20,7 +20,7 @@ from dpcontrol.walks.atlas import Atlas
 
 
 def quiet_space(axes: Axes, of: System | Atlas, title: str = "") -> None:
-    """Label the axes of a panel in space: first coordinate, second coordinate, first rate.
+    """Label the axes of a panel in space with the first and second coordinate and the first rate, seen from above.
 
     Args:
         axes: panel in space.
@@ -34,7 +34,7 @@ def quiet_space(axes: Axes, of: System | Atlas, title: str = "") -> None:
 
 
 def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:
-    """Label a panel that shows two entries of states, angles in multiples of π.
+    """Label a panel that shows two entries of the states of a system, with angles in multiples of π.
 
     Args:
         axes: panel to label.
@@ -52,6 +52,7 @@ class _HalfTurns(MaxNLocator):
     """Round multiples of half a turn, as many as the axis has room for."""
 
     def tick_values(self, vmin: float, vmax: float) -> Any:
+        """Return the angles, rad, between two angles at which matplotlib draws ticks."""
         return np.pi * np.asarray(super().tick_values(vmin / np.pi, vmax / np.pi))
 
 

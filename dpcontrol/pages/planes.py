@@ -15,7 +15,7 @@ Range = tuple[float, float]
 
 
 def gap_times(view: RunView) -> Array:
-    """Return the middle of each gap in a view's ticks, s."""
+    """Return the middle of each gap in the ticks of a run, s, where drawn lines are interrupted."""
     return (view.time[view.breaks] + view.time[view.breaks - 1]) / 2
 
 
@@ -40,7 +40,7 @@ def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
 
 
 def padded(values: Array) -> Range:
-    """Return the range of finite `values`, extended by a tenth."""
+    """Return the range of the finite values, extended by a tenth on either side, for an axis."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     margin = 0.1 * (high - low) or 0.1 * abs(high) or 1e-3
@@ -113,7 +113,7 @@ def _known(points: Array) -> list[Array]:
 
 
 def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
-    """Return pivot, elbows and tip relative to the pivot, with x to the right and y up.
+    """Return pivot, elbows and tip of the arms relative to the pivot, with x to the right and y up, to draw them.
 
     Args:
         angles: (K, n) absolute, from hanging, counter-clockwise; rad.

@@ -71,7 +71,7 @@ RECORDINGS = {
 
 
 def record(result: object, path: Path) -> None:
-    """Write the Rerun recording of a result.
+    """Write the recording of a result for the Rerun viewer, by the function for its class in `RECORDINGS`.
 
     Args:
         result: run, reference, comparison or atlas.

@@ -93,7 +93,7 @@ class Sheet:
             recording.log(f"{home}/grid/names", names, static=True)
 
     def view(self, origin: str, *, name: str) -> rrb.View:
-        """Return the view of the sheet.
+        """Return the viewer's view of the sheet, which shows exactly its part of the plane.
 
         Args:
             origin: path of its contents.
@@ -156,7 +156,7 @@ def record_curves(
     width: float,
     **look: Any,
 ) -> None:
-    """Record curves under a path.
+    """Record constant curves, such as orbits and tubes, under one path in one style.
 
     Args:
         recording: recording to extend.
@@ -266,7 +266,7 @@ def _changes(strip: Strip, view: RunView) -> tuple[list[tuple[float, str]], dict
 
 
 def record_planes(recording: rr.RecordingStream, home: str, view: RunView, sheets: Sequence[Sheet]) -> None:
-    """Record the phase plane of each arm under `home/arm_K`.
+    """Record the phase plane of each arm under `home/arm_K`: grid, tubes, orbits, the run and its moving position.
 
     Args:
         recording: recording to extend.
@@ -288,7 +288,7 @@ def record_planes(recording: rr.RecordingStream, home: str, view: RunView, sheet
 
 
 def record_places(recording: rr.RecordingStream, home: str, view: RunView) -> None:
-    """Record the position of each arm in its phase plane.
+    """Record the position of each arm in its phase plane over time, a dot that moves with the viewer's time.
 
     Args:
         recording: recording to extend.
@@ -389,7 +389,7 @@ def page(
     *,
     growing: bool = False,
 ) -> rrb.Blueprint:
-    """Return a blueprint of columns of views, without side panels.
+    """Return the layout of a recording: columns of views, with the viewer's own side panels closed.
 
     Args:
         columns: columns of views.
@@ -426,7 +426,7 @@ def summary_view() -> rrb.View:
 
 
 def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
-    """Return the views of charts.
+    """Return the viewer's views of charts, whose lines `record_chart` records.
 
     Args:
         charts: charts to show; those without a key are omitted.
@@ -445,7 +445,7 @@ def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
 
 
 def write_recording(view: RunView, path: Path) -> None:
-    """Write the recording of a view to `path` (`*.rrd`).
+    """Write a run or a reference as a recording for the Rerun viewer, with its layout.
 
     Args:
         view: run or reference.
@@ -490,7 +490,7 @@ def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> It
 
 
 def record_events(recording: rr.RecordingStream, view: RunView) -> None:
-    """Record a run's events.
+    """Record a run's events as lines of a text log with their times.
 
     Args:
         recording: recording to extend.

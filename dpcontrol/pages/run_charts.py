@@ -100,7 +100,7 @@ class Chart:
         return f"{self.title}{f' ({self.unit})' if self.unit else ''}"
 
     def scaled(self) -> tuple[float, str]:
-        """Return the factor from SI units to the unit of a page, and the title with that unit."""
+        """Return the factor from SI units to the unit of a page, such as mrad, and the title with that unit."""
         sizes = [np.abs(self.shown)] if self.shown else [np.abs(line.values) for line in self.lines]
         finite = [size[np.isfinite(size)] for size in sizes]
         largest = max((float(size.max()) for size in finite if size.size), default=0.0)
@@ -361,7 +361,7 @@ def _nis(view: RunView) -> Chart | None:
 
 
 def extra_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of the estimated parameters ±2σ, with the truth if it is known."""
+    """Return the charts of the parameters that the filter estimates beside the state, ±2σ, with known true values."""
     if view.extras is None:
         return ()
     names_left, charts = list(view.extras.names), []
@@ -405,5 +405,5 @@ def _extra_chart(view: RunView, extras: Extras, names: list[str], key: str, titl
 
 
 def charts(view: RunView) -> dict[str, Chart]:
-    """Return the charts of motion and quality by key."""
+    """Return the charts of motion and quality of a run by key, so that runs can be compared chart by chart."""
     return {chart.key: chart for chart in (*motion_charts(view), *check_charts(view))}

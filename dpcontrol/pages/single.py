@@ -78,7 +78,7 @@ _MOMENTUM = "its momentum on the section, p / p₀"
 
 
 def search(axes: Axes, result: ConnectionSearch, shown: Sequence[Connection] | None = None) -> None:
-    """Draw the cuts of both tubes and the connections.
+    """Draw the cuts of both tubes of a search on its section, and the connections as their common points.
 
     Args:
         axes: panel to draw on.
@@ -106,7 +106,7 @@ def search(axes: Axes, result: ConnectionSearch, shown: Sequence[Connection] | N
 
 
 def flights(axes: Axes, connections: Sequence[Connection]) -> None:
-    """Draw connections and their orbits in the plane of positions.
+    """Draw connections and the orbits that they leave and join, in the plane of positions.
 
     Args:
         axes: panel to draw on.
@@ -135,7 +135,7 @@ def flown(axes: Axes, result: Connection | SymmetricSearch) -> None:
 
 
 def edges(axes: Axes, result: Edges) -> None:
-    """Draw a connection graph.
+    """Draw a connection graph: the saddles' orbits at one energy, and arrows with the numbers of connections.
 
     Args:
         axes: panel to draw on.
@@ -162,7 +162,7 @@ def flight(axes: Axes, result: Flight) -> None:
 
 
 def recording(axes: Axes, shown: Recording) -> None:
-    """Draw the measured angles, segment by segment.
+    """Draw the measured angles of a recording over time, interrupted between its segments.
 
     Args:
         axes: panel to draw on.

@@ -75,7 +75,9 @@ _SENTENCES = ("statement", "status", "title")
 
 
 def listing(result: Any) -> Iterator[Line]:
-    """Yield entries of a result's document: lines for single values, tables for rows.
+    """Yield the entries of a result's document for the terminal: lines for single values, tables for rows.
+
+    The entries are those in `ENTRIES` for the class of the result, all for a class that is not listed.
 
     Args:
         result: result of a public function.
@@ -133,7 +135,10 @@ def _rows(value: Any) -> list[Mapping[str, Any]]:
 
 
 def _sentences(value: Any) -> list[str]:
-    """Return the sentences of a list, or of a mapping with a name for each; none for other values."""
+    """Return the texts of a list or mapping as lines, if at least one is a sentence; none for other values.
+
+    A mapping gives each line the name of its text. A text with a blank counts as a sentence.
+    """
     texts = list(value.values()) if isinstance(value, Mapping) else value
     is_prose = isinstance(texts, list) and all(isinstance(text, str) for text in texts)
     if not (is_prose and any(" " in text for text in texts)):
@@ -180,7 +185,7 @@ def _is_pair(value: Any) -> bool:
 
 
 def _complex(parts: Sequence[float], digits: int) -> str:
-    """Return a complex number as text, without a part that is rounding."""
+    """Return a complex number as text; a part that is only a rounding error of the other is left out."""
     real, imaginary = (0.0 if abs(part) < 1e-12 * max(map(abs, parts)) else part for part in parts)
     if not imaginary:
         return f"{real:.{digits}g}"

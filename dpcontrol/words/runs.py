@@ -142,7 +142,7 @@ def _defect(nis: float, apart: float) -> str:
 
 
 def counted(done: int, total: int, transfers: tuple[int, int]) -> str:
-    """Return the completed symbols and transfers, counted apart.
+    """Return the numbers of completed symbols and of transfers as text, such as "2 of 3 symbols and 1 of 1 transfers".
 
     Args:
         done: number of completed motions between stops.
@@ -191,7 +191,7 @@ _SIMULATED = {
 
 
 def conditions(settings: Sequence[Mapping[str, Any]], *, simulated: bool) -> str:
-    """Return the conditions that runs share, for the head of a page.
+    """Return the conditions that all of some runs share (rate, delay, mismatch …), for the head of a page.
 
     Args:
         settings: settings of each run as JSON values.
@@ -207,7 +207,7 @@ def conditions(settings: Sequence[Mapping[str, Any]], *, simulated: bool) -> str
 
 
 def conditions_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the conditions of a run, for the head of its page.
+    """Return the model, the conditions and the program of a run, for the head of its page.
 
     Args:
         metadata: metadata of its log; none of a recording or a reference.
@@ -238,7 +238,7 @@ def verdict(fault: str, figures: Mapping[str, Any], end: str) -> str:
 
 
 def reason(text: str, *, judged_by: str, whole: bool, recovered: str) -> str:
-    """Return the reason of a score.
+    """Return the reason of a score, qualified if the log is not whole or the truth is not known.
 
     Args:
         text: reason of the verdict.
@@ -254,7 +254,7 @@ def reason(text: str, *, judged_by: str, whole: bool, recovered: str) -> str:
 
 
 def lost(losses: str) -> str:
-    """Return the note on a recovered log.
+    """Return the note on the messages that a recovered log lacks.
 
     Args:
         losses: the losses in words.
@@ -343,7 +343,7 @@ def bench_lines(bench: Any) -> Iterator[str]:
 
 
 def kibibytes(count: float | None) -> str:
-    """Return a readable number of bytes.
+    """Return an amount of memory as text in KiB.
 
     Args:
         count: number of bytes, None if unknown.
@@ -352,7 +352,7 @@ def kibibytes(count: float | None) -> str:
 
 
 def scores_lines(result: Any) -> Iterator[Line]:
-    """Yield the lines of each score or long run.
+    """Yield the lines of the score of each log, or of each long run.
 
     Args:
         result: a `Scores`.
