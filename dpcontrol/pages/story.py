@@ -51,11 +51,15 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
     """
     begin, end = view.time_range
     planned_end = view.plan.duration if until is None else until
+    # Two periods are allowed for, because the last tick of a complete run precedes the planned end.
     stopped = planned_end is not None and end < planned_end - 2 / view.rate_hz
     ended = (Span(end, planned_end, "ended", style.FAINT, "ended"),) if planned_end is not None and stopped else ()
     strips_of_run = []
     if view.plan.planned:
-        between = [Span(a, b, "change of orbit", style.FAINT, "transfer") for a, b in view.plan.transfers]
+        between = [
+            Span(span_start, span_end, "change of orbit", style.FAINT, "transfer")
+            for span_start, span_end in view.plan.transfers
+        ]
         name = "near" if view.what == "walk" else "planned"
         strips_of_run.append(Strip("asked", name, (*_stays(view.plan.planned), *between)))
         if view.what not in ("reference", "walk"):
@@ -66,11 +70,18 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
         tints = [style.FAINT, *(style.RUNS[k % len(style.RUNS)] for k in range(len(view.plan.symbols)))]
         spans = zip(pairwise(moments), names, tints, strict=True)
         strips_of_run.append(
-            Strip("symbol", "", tuple(Span(a, b, name, tint, "symbol") for (a, b), name, tint in spans))
+            Strip(
+                "symbol",
+                "",
+                tuple(Span(span_start, span_end, name, tint, "symbol") for (span_start, span_end), name, tint in spans),
+            )
         )
     if motions := tuple(_motions(view)):
         strips_of_run.append(Strip("motion", "motion", motions))
-    if modes := tuple(Span(a, b, name, style.MODES.get(name, style.FAINT), "mode") for a, b, name in mode_spans(view)):
+    if modes := tuple(
+        Span(span_start, span_end, name, style.MODES.get(name, style.FAINT), "mode")
+        for span_start, span_end, name in mode_spans(view)
+    ):
         strips_of_run.append(Strip("mode", "controller", (*modes, *ended)))
     return tuple(strips_of_run)
 
