@@ -112,7 +112,7 @@ def alone(result: Any, place: str) -> Any:
 def renderer(place: str) -> Callable[..., Any]:
     """Return a drawing function of this package, which runs with the settings of pages.
 
-    Its module is imported now, because pages load slowly.
+    Its module is imported only now, because the modules of pages load slowly.
 
     Args:
         place: `module:function`.

@@ -86,7 +86,7 @@ def _cut(r: Any, *clauses: str) -> str:
 
 
 def _tubes(r: Any) -> str:
-    """Return the states of both cuts of a search for connections, those of the unstable and of the stable tube."""
+    """Return the outcomes of both cuts of a search for connections, those of the unstable and of the stable tube."""
     return f"unstable tube {r.cuts[0].status}; stable tube {r.cuts[1].status}"
 
 
@@ -265,7 +265,7 @@ def _mesh(r: Any) -> str:
 
 
 def _longer(r: Any) -> str:
-    """Return the remedy that a longer stay on the last orbit gives."""
+    """Return the advice to stay on the last orbit for one more wrap."""
     return f"raise lead_out to {r.content.lead_out + 1}"
 
 
