@@ -181,7 +181,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _interrupted(error: BaseException) -> int:
-    """Report an interrupt on stderr, and return the exit code, 128 and the number of the signal.
+    """Report an interrupt on stderr, and return the exit code, 128 plus the number of the signal.
 
     Args:
         error: the interrupt, whose notes name files that were kept.

@@ -256,7 +256,7 @@ def checked_other_file(out: Path, source: Path | str, *, what: str, option: str 
         option: option that names the target.
 
     Raises:
-        InputError: `out` is the file `source`, perhaps by another name; what: its role, such as "the log to repeat".
+        InputError: `out` is the file `source`, perhaps by another name.
     """
     if os.path.exists(out) and os.path.samefile(out, source):
         raise InputError(f"{option} {out}: that is {what}; choose another name")
@@ -338,7 +338,7 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
     checked_folder(path)
     encoded = {path / name: text.encode() for name, text in files.items()}
     present = {file: file.read_bytes() for file in encoded if file.is_file()}
-    # A folder with other files only is not taken for one of an earlier call.
+    # A folder with other files only was not written by an earlier call, so nothing is added to it.
     occupied = path.is_dir() and any(path.iterdir()) and not present
     if not force and (occupied or any(content != encoded[file] for file, content in present.items())):
         raise in_the_way(path, "holds something else")

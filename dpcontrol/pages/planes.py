@@ -75,7 +75,7 @@ class Plane:
 
 
 def plane(view: RunView, arm: int) -> Plane:
-    """Return an arm's phase plane with the plan's orbits and tubes.
+    """Return an arm's phase plane, its rate over its angle, with the plan's orbits and tubes and the run.
 
     Args:
         view: run or reference.
