@@ -338,7 +338,7 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
     checked_folder(path)
     encoded = {path / name: text.encode() for name, text in files.items()}
     present = {file: file.read_bytes() for file in encoded if file.is_file()}
-    # A folder with other files only was not written by an earlier call, so nothing is added to it.
+    # A folder with other files only was not written by an earlier call and stays as it is.
     occupied = path.is_dir() and any(path.iterdir()) and not present
     if not force and (occupied or any(content != encoded[file] for file, content in present.items())):
         raise in_the_way(path, "holds something else")
