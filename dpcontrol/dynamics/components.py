@@ -211,8 +211,8 @@ class Belt(SymbolicPlant):
 
     @classmethod
     def terms(cls, frame: ComponentFrame) -> Terms:
-        """Return the cart's acceleration by the belt, and the rates of the motor's position and velocity, its two
-        states.
+        """Return the belt's pull on the cart as an acceleration, and the rates of its states: the motor's position and
+        velocity.
         """
         x, v, (stiffness, damping) = frame.position[-1], frame.velocity[-1], ca.vertsplit(frame.parameters)
         pull = stiffness * (frame.states[0] - x) + damping * (frame.states[1] - v)

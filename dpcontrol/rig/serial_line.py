@@ -36,7 +36,7 @@ def parse_line(text: str) -> tuple[str, int]:
 
 
 def framed(packet: bytes) -> bytes:
-    """Return the frame of a packet.
+    """Return the frame of a packet, whose begin and end a receiver finds in the stream of bytes.
 
     Args:
         packet: encoded packet.
@@ -59,7 +59,7 @@ def unframed(frame: bytes) -> bytes:
 
 
 class SerialLine:
-    """Channel of packets over a serial device.
+    """Channel of packets over a serial device, with the interface of a socket that `PacketRig` uses.
 
     Args:
         path: device, such as /dev/ttyACM0.
@@ -99,10 +99,10 @@ class SerialLine:
         if b"\0" not in self._waiting:
             self._waiting += self._port.read(most)
         while self._waiting:
-            frame, end, rest = self._waiting.partition(b"\0")
+            frame, end, following = self._waiting.partition(b"\0")
             if not end:
                 break
-            self._waiting = rest
+            self._waiting = following
             if frame:
                 return unframed(frame)
         self._waiting = self._waiting[:most]
