@@ -233,15 +233,15 @@ class ArmChainParameters(Settings):
         `numbers` returns the values (n,) of a field by its name, as doubles or as fractions. The formulas of M, G and S
         are at the head of this module.
         """
-        m, a, joint, j = map(numbers, _INERTIAL)
+        m, centre, joint, j = map(numbers, _INERTIAL)
         laws = [*self.friction, *(["smoothing"] if self.friction else [])]
         friction = np.concatenate([numbers(name) for name in ("viscous", *laws)])
         n = self.count
         # Mass of the arms that each arm carries.
-        beyond = np.array([m[i + 1 :].sum() for i in range(n)])
-        coupling = m * a + beyond * joint
+        carried_mass = np.array([m[i + 1 :].sum() for i in range(n)])
+        coupling = m * centre + carried_mass * joint
         inertia = [
-            j[i] + m[i] * a[i] ** 2 + beyond[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
+            j[i] + m[i] * centre[i] ** 2 + carried_mass[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
             for i in range(n)
             for k in range(i, n)
         ]
@@ -437,7 +437,7 @@ def chain_energies(count: int, *, friction: tuple[Friction, ...] = ()) -> ChainE
         return kinetic + sum(weights[i] * ca.cos(q[i]) for i in range(n))
 
     def dissipation(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
-        """Return D of the module's head, half the power that friction takes for viscous friction alone."""
+        """Return the dissipation function D of the module's head at positions q and velocities v (n+1,)."""
         relative = [v[i] - v[i - 1] if i else v[0] for i in range(n)]
         total = sum((viscous[i] * relative[i] ** 2 / 2 for i in range(n)), ca.SX(0))
         if Friction.COULOMB in laws:
@@ -612,7 +612,10 @@ def base_ratios(arms: ArmChainParameters) -> Array:
 
 
 def _unit(base: Array, count: int) -> float:
-    """Return the base parameter C that divides the others in `base_ratios`, kg m²: M_12, or M_11 of a single arm."""
+    """Return the base parameter C that divides the others in `base_ratios`, kg m²: M_12, or M_11 of a single arm.
+
+    `base` are the base parameters of `count` arms.
+    """
     return float(base[1] if count > 1 else base[0])
 
 
@@ -664,7 +667,10 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
         return replace(start, **fields | {"length": (*fields["length"], start.length[-1])})
 
     def log_errors(logs: Array) -> Array:
-        """Return the logarithms of the inertial ratios over their targets, zero at the solution."""
+        """Return the logarithms of the inertial ratios over their targets, zero at the solution.
+
+        `logs` are the unknowns of Newton's method, see `arms_at`.
+        """
         return np.log(base_ratios(arms_at(logs))[:count] / targets)
 
     no_arms_near = GoalMissed(
@@ -820,21 +826,27 @@ _HEAVY = 40.0
 
 
 def _slips(arms: ArmChainParameters, arm: int) -> Iterator[str]:
-    """Yield sentences on parameters of an arm, by its index, that seem to be in another unit, such as g for kg."""
-    of = f" of arm {arm + 1}"
+    """Yield sentences on parameters of an arm, by its index, that seem to be in another unit, such as g for kg.
+
+    A sentence is a warning for the user, and the model is used nevertheless.
+    """
+    of_arm = f" of arm {arm + 1}"
     leaves = leaves_of(ArmChainParameters)
     for name in _INERTIAL:
         bounds = leaves[name].bounds
         for sentence in bounds.oddities(name, getattr(arms, name)[arm]):
-            yield sentence.replace(f" {bounds.unit} is ", f" {bounds.unit}{of} is ", 1)
+            yield sentence.replace(f" {bounds.unit} is ", f" {bounds.unit}{of_arm} is ", 1)
     mass, length = arms.mass[arm], arms.length[arm]
     if _HEAVY * length < mass <= _HEAVIEST_ARM:
-        yield f"mass = {mass:g} kg{of} is much for a length of {length:g} m; is it given in g ({1e-3 * mass:.3g} kg)?"
+        yield (
+            f"mass = {mass:g} kg{of_arm} is much for a length of {length:g} m; is it given in g ({1e-3 * mass:.3g} kg)?"
+        )
 
 
 def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
-    """Yield sentences on a body that hardly exists: centre beyond the end, or inertia too large or too small for its
-    size.
+    """Yield sentences on the body of one arm, by its index, that hardly exists.
+
+    Its centre is beyond its end, or its inertia is too large or too small for its mass and length.
 
     Raises:
         InputError: so far off that only another unit explains it.
@@ -881,6 +893,8 @@ def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
 
 def _friction(arms: ArmChainParameters, arm: int) -> Iterator[str]:
     """Yield sentences on friction so strong that the arm cannot swing, by the limits at the head of this module.
+
+    `arm` is the index of one arm.
 
     Raises:
         InputError: so strong that only another unit explains it.

@@ -260,6 +260,7 @@ class EncoderPlay(SymbolicPlant):
 
     @classmethod
     def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
+        """Return unchanged velocities, and the encoders' angles (n,) moved along by their joints, the play operator."""
         # The play moves with its joint until it is at one of its ends.
         half = frame.parameters / 2
         return frame.velocity, ca.fmin(ca.fmax(frame.states, frame.joints - half), frame.joints + half)
@@ -330,7 +331,8 @@ class Stiction(SymbolicPlant):
         """Return the accelerations (N,) with these modes, and the torques (n,), N m, that hold the joints at rest.
 
         A joint with mode 0 keeps its acceleration of zero. A sliding joint is braked by its kinetic torque, and its
-        holding torque is zero. The bench compares holding torques with the break-away torques.
+        holding torque is zero. The bench compares holding torques with the break-away torques. `mass` (N, N) and
+        `acceleration` (N,) are the plant's without dry friction.
         """
         joint_count, size = frame.modes.shape[0], mass.shape[0]
         # Rates are `sums` times the joints' rates; a cart that is free is the last of both.
@@ -340,18 +342,25 @@ class Stiction(SymbolicPlant):
         torques = sums.T @ mass @ acceleration
         moving = ca.vertcat(frame.modes**2, ca.SX.ones(size - joint_count))
         torques[:joint_count] -= frame.parameters[joint_count:] * frame.modes
+        # Rows and columns of resting joints become those of the identity, so their accelerations are zero.
         reduced_inertia = ca.diag(moving) @ inertia @ ca.diag(moving) + ca.diag(1 - moving)
         joint_accelerations = solve_symmetric(reduced_inertia, moving * torques)
         return sums @ joint_accelerations, ((inertia @ joint_accelerations - torques) * (1 - moving))[:joint_count]
 
     @classmethod
     def constrained(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Return the accelerations (N,) with joints of mode 0 at rest and the others braked."""
+        """Return the accelerations (N,) with joints of mode 0 at rest and the others braked.
+
+        The plant without dry friction has this mass matrix (N, N) and acceleration (N,).
+        """
         return cls._solved(frame, mass, acceleration)[0]
 
     @classmethod
     def chosen(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Return each joint's mode: the sign of its rate, or of its motion after the holding torque was exceeded."""
+        """Return each joint's mode: the sign of its rate, or of its motion after the holding torque was exceeded.
+
+        The plant without dry friction has this mass matrix (N, N) and acceleration (N,).
+        """
         n = frame.modes.shape[0]
         modes = _sign(frame.joint_rates)
         # A joint that breaks away changes the torques on the others: one after the other, the worst first.

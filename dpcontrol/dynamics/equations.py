@@ -160,7 +160,10 @@ class Equations(Brief):
 
     @cached_property
     def numeric_functions(self) -> dict[str, ca.Function]:
-        """Functions of (state, parameters) with zero inputs for `NumericEquations`, by name."""
+        """Functions of (state, parameters) with zero inputs for `NumericEquations`, by name.
+
+        Matrices are transposed and flattened, since casadi stores columns and numpy rows.
+        """
         rate = ca.substitute(self.rate, self.inputs, ca.SX.zeros(self.input_count))
         expressions = {
             "rate": rate,

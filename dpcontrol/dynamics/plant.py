@@ -159,7 +159,8 @@ def _component_frames(count: int, components: Kinds) -> tuple[ComponentFrame, ..
     """Return a frame for each component with the symbols of its states, parameters and modes.
 
     Arms and cart are missing in these frames; callers put theirs in. The symbols are the same at each call, so that
-    expressions of different functions can be combined.
+    expressions of different functions can be combined. `count` is the number of arms, and `components` are the classes
+    of the components.
     """
     no_symbols, frames = ca.SX(0, 1), []
     for place, component in enumerate(components):
@@ -171,7 +172,10 @@ def _component_frames(count: int, components: Kinds) -> tuple[ComponentFrame, ..
 
 
 def _terms(q: ca.SX, v: ca.SX, components: Kinds) -> list[Terms]:
-    """Return each component's terms at the positions q and velocities v (n+1,) of arms and cart."""
+    """Return each component's terms at the positions q and velocities v (n+1,) of arms and cart.
+
+    `components` are the components' classes.
+    """
     frames = _component_frames(q.shape[0] - 1, components)
     return [
         component.terms(replace(frame, position=q, velocity=v))
@@ -184,7 +188,7 @@ def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool, compo
     """Return the mechanics of arms on a tilted track, their components included.
 
     With `free_cart`, the cart is the last free coordinate, driven by the force F. Otherwise its acceleration is
-    prescribed.
+    prescribed. `count` is the number of arms, `friction` their laws of friction in addition to the viscous one.
     """
     n, chain, s = count, chain_energies(count, friction=friction), _symbols()
 
@@ -207,7 +211,10 @@ def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool, compo
 
 
 def _parameters(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds = ()) -> ca.SX:
-    """Return the symbols (p,) of a level's parameters, in the order of `PlantParameters.numbers`."""
+    """Return the symbols (p,) of a level's parameters, in the order of `PlantParameters.numbers`.
+
+    `count` is the number of arms, `friction` their laws of friction, and `components` the components' classes.
+    """
     s = _symbols()
     further = {PlantLevel.CART: [s.pull], PlantLevel.DRIVE: [s.pull, s.lag],
                PlantLevel.FORCE: [s.pull, s.lag, s.mass, s.drag]}  # fmt: skip
@@ -248,7 +255,7 @@ class _EquationsOfMotion:
     rates: ca.SX
 
     def state(self, velocity: ca.SX, level: PlantLevel, component_states: Sequence[ca.SX]) -> ca.SX:
-        """Return the state with these velocities (n+1,) and components' states."""
+        """Return the plant's state with the components' states, for these velocities (n+1,) of arms and cart."""
         return ca.vertcat(_state(self.parts.position, velocity, self.demand, level), *component_states)
 
 
@@ -256,7 +263,8 @@ class _EquationsOfMotion:
 def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds) -> _EquationsOfMotion:
     """Return the motion of arms, cart, drive and components at a level.
 
-    A component with a motor stands between drive and cart and gives the cart its acceleration.
+    A component with a motor stands between drive and cart and gives the cart its acceleration. `count` is the number of
+    arms, `friction` their laws of friction in addition to the viscous one.
     """
     symbols, free_cart, a = _symbols(), level is PlantLevel.FORCE, ca.SX.sym("a")
     parts = _parts(count, friction, free_cart=free_cart, components=components)

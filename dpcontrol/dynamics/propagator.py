@@ -188,6 +188,8 @@ class Section:
         ) -> bool:
             """True if the planes row · x = level + period · k are the same planes after the reverser, the row times a
             sign.
+
+            `signs` are the signs to try.
             """
             for sign in signs:
                 if np.allclose(np.asarray(row) @ reverser, sign * np.asarray(row)):
@@ -429,7 +431,8 @@ class CrossingFinder:
         """Return the sheets that each state (K, N) may cross first, in the order of the integrator's parameters.
 
         The columns (K, 4) are the gains of the sheets below and above, then their levels n·x. A section without period
-        has one sheet only. The last row belongs to a lane that rests, and has no sheets.
+        has one sheet only. The last row belongs to a lane that rests, and has no sheets. The levels are run-time values
+        of a lane.
         """
         levels = np.tile([1.0, 0.0, section.offset, 1.0], (len(states), 1))
         if section.period is not None:
@@ -536,6 +539,7 @@ class Propagator:
             options = QUICK if states_only else {**COMPACT, "opt_level": level}
             return compile_integrator(system, np.zeros(states.shape), tol=self.tolerance, **options)
 
+        # Code of plain states is quick to compile and needs no optimised version.
         work = None if states_only else len(states) * (1 + stm * len(states))
         original = _original(self.equations, kind, compiled, work=work)
         if self._compiled.get(kind, (None, None))[0] is not original:
@@ -598,6 +602,7 @@ class Propagator:
         grid = np.asarray(times, dtype=float)
         if grid.size == 0:
             return np.empty((0, self.equations.dimension))
+        # heyoka's grid must begin at the integrator's time.
         leading = int(grid[0] != 0.0)
         integrator = self._at_zero(np.asarray(state, dtype=float), stm=False)
         result = integrator.propagate_grid(np.concatenate([[0.0] * leading, grid]), max_steps=most_steps)
@@ -717,7 +722,7 @@ class Propagator:
 
         With `stm`, each row continues with the entries of the state-transition matrix (N²), row by row. States (K, 2 N)
         have tangents behind them. With `keep_lost`, a segment that could not be propagated gives a row of NaN instead
-        of an ArithmeticError.
+        of an ArithmeticError. `durations` (K,) are in s, negative for before.
         """
         if not (np.isfinite(states).all() and np.isfinite(durations).all()):
             raise ArithmeticError("the start or the duration of a segment is not finite")

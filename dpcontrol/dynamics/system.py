@@ -355,7 +355,8 @@ def _energy(
     """Check a user's energy, and return it as a function of casadi vectors, with its parameters' symbols and values.
 
     The symbols are a vector (p,) in the order of the values (p,). The function raises an InputError if the user's
-    expression fails, is not a scalar, or depends on other variables.
+    expression fails, is not a scalar, or depends on other variables. `kind` is "Lagrangian" or "Hamiltonian", for
+    messages.
     """
     subject, numbers = f"the {kind} of {name}", dict(parameters or {})
     if len(coordinates) != 2 or isinstance(coordinates, str) or len(set(coordinates)) != 2:
@@ -476,7 +477,8 @@ def _equilibria(
 ) -> dict[str, Array]:
     """Refine the guesses of equilibria by Newton's method, and return name -> state (N,).
 
-    Guesses are (n,) coordinates, at rest, or states (N,). A guess at which the rate is exactly zero is unchanged.
+    Guesses are (n,) coordinates, at rest, or states (N,). A guess at which the rate is exactly zero is unchanged. `n`
+    is the number of coordinates, and `name` the system's.
 
     Raises:
         InputError: an invalid name or guess, no convergence, or two guesses of the same equilibrium.
@@ -522,13 +524,12 @@ def _equilibria(
 
 
 def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | None], state: Array) -> Array:
-    """Return the periods (N,) of all states from those declared for the coordinates (n,), and check the equations for
-    them.
+    """Return the periods (N,) of all states from those declared for the coordinates (n,), infinite where there is none.
 
-    The periods are infinite where there is none.
+    The equations must repeat after each period, which is tested near the equilibrium `state`.
 
     Raises:
-        InputError: an invalid period, or rates that differ after it near the equilibrium `state`.
+        InputError: an invalid period, or rates that differ after it.
     """
     n = len(state) // 2
     if len(periods) != n or any(p is not None and not number("periods", p) > 0 for p in periods):
@@ -536,8 +537,8 @@ def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | Non
     lengths = np.array([np.inf if p is None else float(p) for p in periods] + [np.inf] * n)
     for k in np.flatnonzero(np.isfinite(lengths)):
         states = _around(state, np.ones(2 * n))
-        before, after = numeric.rate(states), numeric.rate(states + lengths[k] * np.eye(2 * n)[k])
-        if not np.allclose(before, after, rtol=_SAME, atol=_SAME, equal_nan=True):
+        rates_before, rates_after = numeric.rate(states), numeric.rate(states + lengths[k] * np.eye(2 * n)[k])
+        if not np.allclose(rates_before, rates_after, rtol=_SAME, atol=_SAME, equal_nan=True):
             raise InputError(
                 f"periods = {list(periods)} of {name}: coordinate {k + 1} does not repeat after its period"
             )
@@ -550,7 +551,8 @@ def _scale(
     """Return the typical size (N,) of each state, by which searches scale distances.
 
     `scale` is the user's option: one number, n numbers for the coordinates, N numbers, or None for the default. Unless
-    given, the sizes of rates or momenta follow from the fastest eigenvalue at the saddle.
+    given, the sizes of rates or momenta follow from the fastest eigenvalue at the saddle. `periods` (N,) give the
+    default for angles, half a turn.
     """
     n = len(periods) // 2
     is_angle = np.isfinite(periods[:n])
@@ -572,7 +574,7 @@ def _scale(
 def _around(state: Array, scale: Array) -> Array:
     """Return twelve fixed states (12, N), scattered about one (N,), at which symmetries are tested.
 
-    They lie off the fixed sets of symmetries.
+    They lie off the fixed sets of symmetries. `scale` (N,) is the typical size of each state.
     """
     return state + 0.3 * scale * np.random.default_rng(1).uniform(-1.0, 1.0, (12, len(state)))
 
@@ -580,7 +582,8 @@ def _around(state: Array, scale: Array) -> Array:
 def _reverses(numeric: NumericEquations, reverser: Array, saddle: Array, scale: Array) -> bool:
     """True if R reverses the motion about a saddle in time: f(R x) = -R f(x) at scattered states, x from the saddle.
 
-    At least three of the states must have finite rates.
+    At least three of the states must have finite rates. `reverser` is R (N, N), and `scale` (N,) the states' typical
+    size.
     """
     states = _around(saddle, scale)
     rates = numeric.rate(states) @ reverser.T
@@ -599,6 +602,7 @@ def _reversers(
     """Return at most two reversers (N, N) about every saddle: those declared, or the sign changes that hold.
 
     The product of both advances each Lyapunov orbit by half a period, as the search of symmetric orbits requires.
+    `saddles` are the saddles' states by name, and `declared` the user's option, None for the default.
 
     Raises:
         InputError: a declared reverser is no involution, or does not reverse the motion.
@@ -632,6 +636,8 @@ def _reversers(
 def _is_half_turn(numeric: NumericEquations, saddle: Array, symmetry: Array) -> bool:
     """True if a symmetry (N, N) is -1 on all oscillations about a saddle, so that it advances their orbits by half a
     period.
+
+    The oscillations are the imaginary eigenvalues' vectors.
     """
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(saddle)))
     oscillations = vectors[:, np.abs(np.imag(values)) > 1e-6 * np.abs(values)]
@@ -656,7 +662,7 @@ def _default_sections(
     Two saddles have the plane half-way, in both directions of an angle. Orbits of one saddle have a plane half a turn
     away if the unstable direction is mostly an angle. Otherwise they have the plane of the reverser's fixed set, which
     symmetric connections cross half-way. Under time reversal, the section is at the turning points along the unstable
-    direction.
+    direction. `scale` and `periods` (N,) are the system's.
     """
     sections: dict[tuple[str, str], Section] = {}
     for first, second in product(saddles, repeat=2):

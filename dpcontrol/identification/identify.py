@@ -448,6 +448,7 @@ def _fitted(
     """Fit one candidate, the friction laws of `arms` with or without free zeros, and predict the held-out swings.
 
     `fitted` and `left_out` are the swings. `near` is a fit of the same laws, from which this one starts, or None.
+    `zeros` is True to fit encoder zeros.
     """
     model = Swings(arms)
     groups = 1 + max(s.group for s in (*fitted, *left_out))

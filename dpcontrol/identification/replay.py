@@ -544,7 +544,7 @@ def _ahead(
     """Return the rms error (n,) rad of angles predicted `samples` ahead from the estimate, NaN if no interval fits.
 
     `settled` (K,) is True for samples after the estimator's beginning. `velocity` and `acceleration` (K,) are the
-    cart's, m/s and m/s².
+    cart's, m/s and m/s². `model` integrates the arms, and `estimated` are the starts at the recording's samples.
     """
     has_target = np.zeros(len(settled), dtype=bool)
     for first, end in recording.segments:

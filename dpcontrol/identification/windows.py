@@ -335,7 +335,9 @@ def _improved(
 ) -> tuple[_Iterate | None, float]:
     """Return the iterate after the longest step that reduces the misfit, None if no step does, and the step's share.
 
-    The share 1 is tried first, then a half, a quarter and so on.
+    The share 1 is tried first, then a half, a quarter and so on. `now` is the present iterate, `unknowns` are the
+    indices (f,) of the free parameters, and `bounds` those of all parameters (V,). `normal` are the normal equations,
+    and `threshold` is that of the robust loss.
     """
     lower, upper = bounds
     share = 1.0
@@ -390,7 +392,8 @@ class _Normal:
 def _normal(now: Linearised, threshold: float) -> _Normal:
     """Return the normal equations of a linearisation, with residuals beyond the threshold weighted down (Huber).
 
-    With the blocks A of the starts, C of the unknowns and B between both, each stretch adds C - Bᵀ A⁻¹ B.
+    With the blocks A of the starts, C of the unknowns and B between both, each stretch adds C - Bᵀ A⁻¹ B. `now` is the
+    linearisation.
     """
     n = len(now.stretches[0].offsets[0])
     f = now.stretches[0].slope.shape[2] - n
@@ -413,7 +416,7 @@ def _step(normal: _Normal, values: Array, least: Array, most: Array, share: floa
     """Return the bounded change of the unknowns (f,), and the change (s,) of each stretch's start.
 
     `values`, `least` and `most` (f,) are the unknowns and their bounds. A share of the step below 1 is that of
-    Levenberg and Marquardt, who shorten it most where the data tell least.
+    Levenberg and Marquardt, who shorten it most where the data tell least. `normal` are the normal equations.
     """
     f = len(values)
     step = np.zeros(f)

@@ -117,6 +117,7 @@ class _Records(StreamReader):
     """Reads all records but indexes of messages, whose entries the mcap package reads one by one."""
 
     def _read_record(self, opcode: int, length: int) -> Any:
+        """Return the record of this opcode and length from the stream, None for an index of messages."""
         if opcode != Opcode.MESSAGE_INDEX:
             return super()._read_record(opcode, length)
         self._stream.read(length)
@@ -437,7 +438,10 @@ def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
 
 
 def _rows(batch: Batch, tick: layout.TickLayout) -> dict[str, Array]:
-    """Return a batch's ticks as arrays: times (K,), s, rows (K, …) by part, and the extras (M, …) after their times."""
+    """Return a batch's ticks as arrays: times (K,), s, rows (K, …) by part, and the extras (M, …) after their times.
+
+    `tick` is the layout of the log's ticks.
+    """
     tables, widths = batch.tables, tick.widths
     arrays = {part: np.empty((len(tables[layout.MEASURED]), widths[part])) for part in ("measured", *tick.parts)}
     for topic, field_name, joints, part, columns in tick.rooms:
@@ -558,7 +562,10 @@ def check_replaced(
 
 
 def _differing(metadata: Mapping[str, str], existing: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
-    """Return the keys whose values differ between two records, except incidental keys and those in `also`."""
+    """Return the keys, separated by commas, whose values differ between the records of two runs.
+
+    Incidental keys and those in `also` are not compared.
+    """
     names = [name for name in {**metadata, **existing} if name not in (*_INCIDENTAL, *also)]
     return ", ".join(name for name in names if metadata.get(name) != existing.get(name))
 

@@ -110,7 +110,8 @@ _AFTER_ALL = 1 << 32
 def _numbered(data: bytes, tick: layout.TickLayout) -> tuple[int, bytes]:
     """Return the number of the first tick in a chunk's content, and its message records.
 
-    The recovery sorts chunks by this number. A chunk without ticks comes last.
+    The recovery sorts chunks by this number. A chunk without ticks comes last. `data` is the content, and `tick` the
+    layout of the log's ticks.
     """
     messages = located(data, tick, {})
     start = min(int(part.offsets[0]) for part in messages.values() if len(part.offsets))
@@ -200,7 +201,7 @@ def _free_name(path: Path) -> Path:
 def _account(path: Path, log: Path, rescued: Salvage, measured: NDArray[Any]) -> Recovery:
     """List the recovered and the missing parts of the log, whose measured positions have these records.
 
-    `path` is the damaged file, and `log` is the new log's path.
+    `path` is the damaged file, and `log` is the new log's path. `rescued` are the sound records.
 
     Raises:
         Exception: one of `MALFORMED`: there is no tick, or a record has other contents.

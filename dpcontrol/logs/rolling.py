@@ -365,7 +365,10 @@ class RollingLog:
         self._writer = None
 
     def _thin(self, number: int) -> None:
-        """Delete a log unless its digest is missing or it is one of every `keep_every` logs, to save disk space."""
+        """Delete a log unless its digest is missing or it is one of every `keep_every` logs, to save disk space.
+
+        `number` is that of the log.
+        """
         if (number - 1) % self._keep_every and self.path(number, ".json").is_file():
             with suppress(OSError):
                 self.path(number).unlink()

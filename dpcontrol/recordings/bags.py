@@ -126,6 +126,8 @@ def _covered(path: Path, moments: Array, times: Sequence[Array]) -> NDArray[np.b
 def _topic(name: str, topics: Sequence[str], path: Path) -> str:
     """Return the topic with which a column's name begins; the longest, if several do.
 
+    `topics` are the names of the bag's topics.
+
     Raises:
         InputError: there is none.
     """
@@ -138,7 +140,7 @@ def _topic(name: str, topics: Sequence[str], path: Path) -> str:
 def _table(bag: Any, topic: str, names: Sequence[str]) -> dict[str, Array]:
     """Return the times of a topic's messages, s, in order, and its columns (K,) that hold numbers, by name.
 
-    Times are counted from the start of the bag.
+    Times are counted from the start of the bag. `names` are the columns' names, each beginning with the topic.
     """
     connections, start = bag.topics[topic].connections, bag.start_time
     checked_size(8.0 * bag.topics[topic].msgcount * (len(names) + 1))

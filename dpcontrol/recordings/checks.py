@@ -148,6 +148,8 @@ def _before_gap(samples: Samples, period: float) -> Marks:
 def _wrapped(samples: Samples, period: float) -> Marks:
     """Mark the angles (K, n) that jump by a turn from the sample before, which the repair "wrap" unwraps.
 
+    The arguments are those of `Repair.find`; the period is not needed.
+
     Raises:
         InputError: an angle jumps by another amount, which nothing can repair.
     """
@@ -166,14 +168,15 @@ def _wrapped(samples: Samples, period: float) -> Marks:
 
 
 def _unwrapped(values: Array, arms: int) -> Array:
-    """Return the values (K, m) with the angles, the first columns, unwrapped."""
+    """Return the values (K, m) with the angles of the arms, the first columns, unwrapped."""
     return np.hstack([np.unwrap(values[:, :arms], axis=0), values[:, arms:]])
 
 
 def _filled(samples: Samples, marks: Marks, period: float) -> list[Samples]:
     """Return the segments of samples with short holes filled by a cubic, cut at longer holes: the repair "nan".
 
-    `marks` (K, m) are True for missing values. A sample with any of them counts as missing.
+    `marks` (K, m) are True for missing values. A sample with any of them counts as missing. The arguments are those of
+    `Repair.mend`; the period is not needed.
     """
     missing: Marks = np.asarray(marks.any(axis=1), dtype=bool)
     values = samples.values.copy()
@@ -192,7 +195,10 @@ def _filled(samples: Samples, marks: Marks, period: float) -> list[Samples]:
 
 
 def _smooth(samples: Samples) -> Array:
-    """Return the values (K, m) with medians of five as rates, by which outlying rates are found and replaced."""
+    """Return the values (K, m) with medians of five as rates, by which outlying rates are found and replaced.
+
+    The rates are the columns whose names begin with `RATE`.
+    """
     rates = [name.startswith(RATE) for name in samples.names]
     return np.where(rates, median_filter(samples.values, size=(5, 1), mode="nearest"), samples.values)
 
@@ -205,7 +211,10 @@ def _grid(samples: Samples, period: float) -> tuple[Array, float]:
 
 
 def _uneven(samples: Samples, period: float) -> Marks:
-    """Mark the samples (K,) whose step of time differs from the spacing, or whose time leaves the even grid."""
+    """Mark the samples (K,) whose step of time differs from the spacing, or whose time leaves the even grid.
+
+    `period` is the nominal period, s, or 0.
+    """
     grid, spacing = _grid(samples, period)
     step_errors = np.abs(np.diff(samples.time, append=samples.time[-1] + spacing) - spacing)
     drift = np.abs(samples.time - grid)
@@ -213,7 +222,10 @@ def _uneven(samples: Samples, period: float) -> Marks:
 
 
 def _interpolated(samples: Samples, marks: Marks, period: float) -> list[Samples]:
-    """Return the samples at even times, interpolated by cubics: the repair "sampling"."""
+    """Return the samples at even times, interpolated by cubics: the repair "sampling".
+
+    The arguments are those of `Repair.mend`; the marks are not needed.
+    """
     grid, spacing = _grid(samples, period)
     even = grid[: int(np.ptp(samples.time) / spacing + 1e-6) + 1]
     rows = samples.rows[np.searchsorted(samples.time, even, side="right") - 1]
@@ -361,6 +373,8 @@ def check_plausible(segments: Sequence[Samples], spacing: float, *, file: str) -
 
 def _compare(derivative: Array, rates: Array, *, file: str) -> None:
     """Reject rates (W, n) that are not the `derivative` (W, n) of the angles, both rad/s, of all segments in sequence.
+
+    Column k of both belongs to arm k.
 
     Raises:
         InputError: names the likely cause: a unit, a sign or swapped columns.

@@ -102,7 +102,7 @@ def _of_columns(path: Path, user_mapping: Mapping | None, default: str) -> tuple
     """Return the mapping, restricted to the file's columns, and the stretches of samples of a table or a bag.
 
     The default mapping names more columns than a file needs: the second and later arms of joint states, the rates, the
-    cart and the segments may be missing.
+    cart and the segments may be missing. `default` is the name of that mapping, and `user_mapping` replaces it.
     """
     mapping, optional = user_mapping or load_mapping(default), list[str]()
     if mapping.cells.states:
@@ -121,7 +121,10 @@ def _of_columns(path: Path, user_mapping: Mapping | None, default: str) -> tuple
 
 
 def _segments(path: Path, mapping: Mapping, columns: Columns[str, Array]) -> list[Samples]:
-    """Return the samples of each segment in a file's columns (K,), which are cut where the segment's number changes."""
+    """Return the samples of each segment in a file's columns (K,), which are cut where the segment's number changes.
+
+    `mapping` defines the columns, their units and directions.
+    """
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         shown_lengths = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -175,6 +178,8 @@ def _samples(where: str, mapping: Mapping, values: Columns[str, Array], time: Ar
 
 def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repairs: frozenset[str]) -> Recording:
     """Return the recording of a file's stretches, after all checks and the permitted repairs.
+
+    `repairs` are the names of permitted repairs.
 
     Raises:
         InputError: the stretches have different numbers of arms, or a check fails.
@@ -249,7 +254,10 @@ def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] 
 
 
 def _parquet(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
-    """Return all column names of a Parquet file, and the cells of the named columns."""
+    """Return all column names of a Parquet file, and the cells of the named columns.
+
+    A column whose name occurs several times is left out, and reported by the caller.
+    """
     # pyarrow takes a name such as s3:table.parquet for an address.
     with path.open("rb") as stream:
         file = package("pyarrow.parquet").ParquetFile(stream)
@@ -305,7 +313,10 @@ def _numbers(cells: Sequence[Any], name: str, path: Path) -> Array:
 
 
 def _of_matlab(path: Path, user_mapping: Mapping | None) -> tuple[Mapping, list[Samples]]:
-    """Return the mapping of a MATLAB file, with the file's period if it holds one, and the stretches of samples."""
+    """Return the mapping of a MATLAB file, with the file's period if it holds one, and the stretches of samples.
+
+    Without a user's mapping, the first shipped one that fits is used.
+    """
     file = MatlabFile(path, read_matlab(path))
     mapping = user_mapping or _fitting(file)
     if name := mapping.sampling.variable:

@@ -300,7 +300,8 @@ class UdpBench(AbstractContextManager["UdpBench"]):
     def _served(self, data: bytes, sender: Any) -> bool:
         """Handle a packet that comes between runs, and serve the run if it is a START.
 
-        Return True if the packet led to a run that has ended, or the loop declined the bench.
+        Return True if the packet led to a run that has ended, or the loop declined the bench. `sender` is the socket
+        address of the packet's sender.
         """
         # The session that this sender may begin is not stored, so nobody can lock out others, and a forged sender does
         # not receive it.
@@ -345,7 +346,10 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         return packet
 
     def _answer(self, heard: ReceivedPacket, message: Message, sender: Any) -> None:
-        """Send a message to the sender of a packet, with that packet's session; it is lost if the system refuses it."""
+        """Send a message to the sender of a packet, with that packet's session; it is lost if the system refuses it.
+
+        `heard` is that packet.
+        """
         data = packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
         with suppress(OSError):
             self._socket.sendto(data, sender)
@@ -640,7 +644,10 @@ class BenchRecipe(Brief):
 
 
 def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe: Connection) -> None:
-    """Serve one run in a process of its own, and send the address and the record to its parent through the pipe."""
+    """Serve one run in a process of its own, and send the address and the record to its parent through the pipe.
+
+    `key` is the key that the loop must have.
+    """
     # An interrupt from the terminal is meant for the loop, which stops the cart first.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()

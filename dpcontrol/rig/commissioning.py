@@ -291,7 +291,10 @@ def _cart_scale(gain: float, factors: Array) -> bool:
 
 
 def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) -> Finding:
-    """Judge direction and gain of the drive and of the cart's scale, with the reversals of `_signs` as figures."""
+    """Judge direction and gain of the drive and of the cart's scale, with the reversals of `_signs` as figures.
+
+    `signs` are these reversals, and `wiring` is that of the encoders.
+    """
     gain, factors = drive.gain, wiring.factors
     cause = _first(
         {
@@ -312,7 +315,7 @@ def _scales(wiring: Wiring, gain: float) -> Array:
     """Return the likely factor (n,) of each encoder, 1 without a fault, NaN if friction hides it.
 
     A measured factor is as accurate as the model, so a value near a likely mistake, such as 4 for the decoding of
-    quadrature, counts as that mistake.
+    quadrature, counts as that mistake. `gain` is that of the drive.
     """
     measured = np.maximum(np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0)), STUCK)
     nearest_likely = _LIKELY[np.argmin(np.abs(np.log(_LIKELY / measured[:, None])), axis=1)]
@@ -322,7 +325,10 @@ def _scales(wiring: Wiring, gain: float) -> Array:
 
 
 def _lateness(drive: DriveFit, settings: LoopSettings, period: float) -> Finding:
-    """Compare the measured delay, in periods, and the lag, s, of the drive with those in [run]."""
+    """Compare the measured delay, in periods, and the lag, s, of the drive with those in [run].
+
+    `period` is the control period, s.
+    """
     delay, lag, configured = max(drive.delay / period, 0.0), drive.lag, settings.drive
     errors = drive.errors[0] / period, drive.errors[1]
     agrees = abs(delay - configured.delay) <= max(0.1, 3 * errors[0])
@@ -386,6 +392,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
         "swing": swing.readings.std(axis=0).tolist(),
         "kind": "joint" if wiring.form in (Form.SUMMED, Form.RELATIVE) else "absolute",
     }
+    # While an encoder stands still or its factor is uncertain, order and form cannot be judged.
     decided = not wiring.stuck.any() and not unknown.any()
     common_faults = {
         Cause.STANDS: max(figures["swing"]) < LEAST_SWING,
@@ -412,7 +419,10 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
 
 
 def _counts(session: RigSession, wiring: Wiring, gain: float, settings: LoopSettings) -> Finding:
-    """Compare the counts per turn that follow from the rounding of joint angles with the encoder counts in [run]."""
+    """Compare the counts per turn that follow from the rounding of joint angles with the encoder counts in [run].
+
+    `gain` is that of the drive.
+    """
     joints = np.diff(np.array(session.positions)[:, :-1], axis=1, prepend=0.0)
     steps = np.array([rounding(column) for column in joints.T])
     # An angle that is four times too large has steps that are four times too large.
@@ -445,7 +455,7 @@ def _counts(session: RigSession, wiring: Wiring, gain: float, settings: LoopSett
 def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings) -> Finding:
     """Compare the play of the encoders, rad, with that in [run].
 
-    `angles` (K, n) are the readings of the arms, rad.
+    `angles` (K, n) are the readings of the arms, rad. `period` is the control period, s.
     """
     encoders = ~np.isnan(wiring.errors)
     joints = np.diff(angles, axis=1, prepend=0.0).T[encoders]
@@ -454,8 +464,8 @@ def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings) 
     plays, errors = (np.array(values) for values in zip(*(fit_play(joint, period) for joint in joints), strict=True))
     # Play can make joint encoders look like absolute ones.
     wiring_is_right = wiring.form in (Form.SUMMED, Form.ABSOLUTE) and bool(np.all(_scales(wiring, 1.0) == 1))
-    least = np.array([max(_LEAST_PLAY, rounding(joint)) for joint in joints])
-    agree = np.abs(plays - configured) <= np.maximum(3 * errors, np.maximum(least, 0.2 * configured))
+    least_plays = np.array([max(_LEAST_PLAY, rounding(joint)) for joint in joints])
+    agree = np.abs(plays - configured) <= np.maximum(3 * errors, np.maximum(least_plays, 0.2 * configured))
     cause = _first(
         {
             Cause.UNKNOWN: not wiring_is_right or not np.isfinite(plays).all(),
@@ -467,9 +477,9 @@ def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings) 
         "play": plays.tolist(),
         "play_errors": errors.tolist(),
         "said": configured.tolist(),
-        "least": float(least.max()),
+        "least": float(least_plays.max()),
     }
-    settings_play[encoders] = np.where(plays > np.maximum(least, 3 * errors), np.round(plays, 5), 0.0)
+    settings_play[encoders] = np.where(plays > np.maximum(least_plays, 3 * errors), np.round(plays, 5), 0.0)
     return Finding("play", cause, figures, {"play": settings_play.tolist()} if cause is Cause.DIFFERS else {})
 
 
@@ -477,19 +487,24 @@ def _friction(swing: CommissioningSwing, arms: ArmChainParameters, settings: Loo
     """Compare the dry friction (n,) of the joints, N m, with [run] and with the model."""
     (torques, errors), mechanics, coulomb = swing.dry, settings.mechanics, np.array(arms.coulomb or 0.0)
     configured = np.array(mechanics.of_each("stiction", arms.count)) * mechanics.kinetic + coulomb
-    least = np.maximum(_FRICTION * arms.base()[arms.count * (arms.count + 1) // 2 :][: arms.count].max(), 3 * errors)
+    least_torques = np.maximum(
+        _FRICTION * arms.base()[arms.count * (arms.count + 1) // 2 :][: arms.count].max(), 3 * errors
+    )
     figures = {
         "torques": torques.tolist(),
         "errors": errors.tolist(),
-        "least": float(least[np.isfinite(least)].max(initial=0.0)),
+        "least": float(least_torques[np.isfinite(least_torques)].max(initial=0.0)),
         "stiction": (np.maximum(torques - coulomb, 0) / max(mechanics.kinetic, 0.1)).tolist(),
     }
-    agrees = np.all(np.abs(torques - configured) < np.maximum(least, 0.5 * configured))
+    agrees = np.all(np.abs(torques - configured) < np.maximum(least_torques, 0.5 * configured))
     return Finding("friction", Cause.RIGHT if agrees else Cause.DOUBTFUL, figures)
 
 
 def _model(swing: CommissioningSwing, wiring: Wiring, arms: ArmChainParameters) -> Finding:
-    """Compare the arms' frequencies and viscous dampings with the model's."""
+    """Compare the arms' frequencies and viscous dampings with the model's.
+
+    The frequencies' ratios to the model's and the dampings are those that `fit_swing` found.
+    """
     viscous, errors = swing.viscous
     least_viscous_arms = replace(arms, viscous=tuple(np.maximum(viscous - 3 * errors, 0.0).tolist()))
     damping_ratio = float(
@@ -523,6 +538,7 @@ def _switch(side: int, answer: int, at: float, limits: Limits) -> Finding:
 def _deadlines(session: RigSession) -> Finding:
     """Judge the timing of both ends: late ticks, lost readings and repeated commands."""
     ticks, lost = len(session.positions), session.present.count(False)
+    # A rig in simulated time has no deadlines.
     deadlines = getattr(session.rig, "deadlines", None)
     repeated = deadlines.held if isinstance(deadlines, Deadlines) else 0
     worst_count = max(session.late, lost, repeated)

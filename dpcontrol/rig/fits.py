@@ -71,7 +71,7 @@ def response(commands: Array, period: float, total: float, square: float = 0.0) 
     """Return the positions (K,) of a cart at rest that responds to commands (K,) m/s² with unit gain.
 
     The parameters are `total` s, the sum of delay and lag, and `square` s², that of the lag. The two are nearly
-    independent even at zero lag, unlike delay and lag.
+    independent even at zero lag, unlike delay and lag. `period` is the time between commands, s.
     """
     lag = math.sqrt(square)
     elapsed = np.maximum(np.arange(len(commands)) * period - (total - lag), 0.0)
@@ -91,6 +91,7 @@ def _high_passed(count: int, period: float) -> Callable[[Array], Array]:
     """Return a filter of `count` samples that leaves no constant, velocity or acceleration.
 
     The filter drops the samples at the beginning, in which it settles, and works on arrays (count,) or (count, m).
+    `period` is the time between samples, s.
     """
     sections = signal.butter(2, min(_HIGH_PASS, 0.05 / period), "highpass", fs=1 / period, output="sos")
     skip = min(round(0.3 / period), count // 8)
@@ -352,7 +353,10 @@ _SWING = FitSettings(robust=0.0, iterations=25, tolerance=1e-4)
 
 
 def _errors(jacobian: NDArray[Any], residual: Array) -> Array:
-    """Return standard errors (p,) from derivatives (K n, p) and residuals (K, n) that are correlated in time."""
+    """Return standard errors (p,) from derivatives (K n, p) and residuals (K, n) that are correlated in time.
+
+    A row of derivatives belongs to one entry of the residuals, row by row.
+    """
     scores = (jacobian * residual.reshape(-1, 1)).reshape(*residual.shape, -1).sum(axis=1)
     return np.sqrt(np.diag(clustered_covariance(jacobian.T @ jacobian, [scores], [residual])))
 
@@ -468,8 +472,10 @@ def fit_play(angles: Array, period: float) -> tuple[float, float]:
             last_angle = angle
     reversals = np.flatnonzero(np.diff(directions)) + 1
     plays, weights = [], []
-    for before, turn, after in zip([0, *reversals], reversals, [*reversals[1:], len(directions)], strict=False):
-        first, last, begin, end = ticks[before], ticks[turn - 1], ticks[turn], ticks[after - 1]
+    for previous_turn, turn, next_turn in zip(
+        [0, *reversals], reversals, [*reversals[1:], len(directions)], strict=False
+    ):
+        first, last, begin, end = ticks[previous_turn], ticks[turn - 1], ticks[turn], ticks[next_turn - 1]
         if min(last - first, end - begin) * period < _SHORTEST:
             continue
         span = round(_SPAN / period)

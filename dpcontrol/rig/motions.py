@@ -158,7 +158,7 @@ class RigSession:
         return reading
 
     def advance(self, acceleration: float) -> Reading:
-        """Send a command, m/s², and return the next reading.
+        """Command an acceleration, m/s², within the cart's limit, and return the next reading.
 
         Raises:
             Halted: the rig has failed, the cart has left its range, or a sensor is not read.

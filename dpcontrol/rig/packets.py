@@ -192,7 +192,10 @@ def packed(message: Message, role: Role, *, session: int, sequence: int, key: by
 
 
 def _seal(data: bytes, role: Role, key: bytes) -> bytes:
-    """Return the seal (16 bytes) of a packet that an end sends, by which the other end recognises forged packets."""
+    """Return the seal (16 bytes) of a packet that an end sends, by which the other end recognises forged packets.
+
+    `data` is the packet before the seal, and `role` the end that sends it.
+    """
     return hmac.digest(key, role.value + data, "sha256")[:_SEAL]
 
 
