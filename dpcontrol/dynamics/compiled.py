@@ -285,6 +285,7 @@ class _ByCasadi:
     def __init__(self, function: ca.Function) -> None:
         symbols = function.sx_in()
         self._function = ca.Function(function.name(), symbols, [ca.densify(function(*symbols))])
+        # Call, inputs and output by the number of points, and the objects on which the calls depend.
         self._made: dict[int, tuple[Any, list[Array], Array]] = {}
         self._alive: list[Any] = []
 

@@ -304,7 +304,9 @@ class CrossingFinder:
     def __init__(self, equations: Equations, parameters: Array) -> None:
         self.equations, self.parameters = equations, parameters
         n, first = equations.dimension, len(parameters)
+        # Places among the integrator's parameters, see `_made`.
         self._normal, self._events = slice(first, first + n), slice(first + n, first + n + 4)
+        # The code of which this finder has a copy; it changes once optimised code is made.
         self._original: Any = None
 
     def _made(self, level: int) -> Any:
@@ -514,6 +516,7 @@ class Propagator:
         self.equations = equations
         self.parameters = np.asarray(parameters, dtype=float)
         self.tolerance = tolerance
+        # The code and this propagator's copy of it, by the kind of states.
         self._compiled: dict[Hashable, tuple[Any, Any]] = {}
 
     @cached_property

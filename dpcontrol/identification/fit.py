@@ -215,6 +215,9 @@ class Windows:
         windows: windows of each swing, by number.
         first: row of its swing at which each window begins.
         last: row of its swing at which each window ends.
+        samples: samples K of the longest window.
+        periods: sampling period of each window (W,), s.
+        drive: the cart's accelerations, m/s², and velocities, m/s (2, W, K), zero after the end of a window.
     """
 
     def __init__(self, swings: list[Swing], model: Swings, length: float) -> None:

@@ -188,8 +188,10 @@ class McapFile:
         self.stream = stream
         self._crc = 0
         self._compressor = zstandard.ZstdCompressor(level=_COMPRESSION)
+        # Records of the summary, and records that the next chunk begins with.
         self._summary: list[bytes] = []
         self._unwritten: list[bytes] = []
+        # Messages of each channel, and the first and last time of all, ns.
         self._counts: dict[int, int] = {}
         self._times: list[int] = []
         self._write(MAGIC + _bytes_of(Header(profile="ros2", library=library)))

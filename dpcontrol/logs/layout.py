@@ -397,6 +397,7 @@ class Block:
         self.template = b"".join(record(channels[topic], 0, 0, message.data) for topic, message in messages.items())
         self._records = np.empty(0, self.kind)
         fields = ((topic, name, name.rpartition(".")[2]) for topic in messages for name in self.kind[topic].names or ())
+        # Topic, field and last name of each field that follows from number and time.
         self._counters = tuple(field for field in fields if field[2] in _COUNTERS)
 
     def filled(self, times: NDArray[np.int64], first: int) -> NDArray[Any]:

@@ -245,6 +245,7 @@ class RollingLog:
         self.folder, self.name, self.extras = folder, name, extras
         self._make, self._seconds, self._keep_every, self._begin = make, seconds, keep_every, begin
         self._period, self._end = 1 / rate_hz, end
+        # None while no file can be written.
         self._writer: LogWriter | None = None
         self._digest = Digest(number, session, limit=limit)
         self._file_ends(begin)

@@ -211,6 +211,7 @@ class ChunkEncoder:
         self._slow = {
             topic: layout.Block({topic: messages[topic]}, tick.channels) for topic in messages if topic in tick.channels
         }
+        # Number of the last slow message.
         self._last_due = -1
 
     def encode(self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]) -> bytes:
@@ -324,11 +325,14 @@ class LogWriter:
             tuple(map(float, arm_lengths)), has_cart, float(rate_hz), limits=limits, extras=self.extras
         )
         self._metadata, self._attachments = dict(metadata or {}), dict(attachments or {})
+        # Ticks of a chunk: as many as are written at least, and at most.
         self._least, self._size = (max(1, round(seconds * rate_hz)) for seconds in (CHUNK_SECONDS, LONGEST_CHUNK))
         self._times = np.zeros(self._size)
+        # Rows of the ticks that wait for the next chunk.
         self._rooms = {name: np.zeros((self._size, width)) for name, width in self._tick.widths.items()}
         # The first tick decides which of these parts the log has.
         self._parts: frozenset[str] = frozenset()
+        # Ticks that wait, ticks that are written, and the time of the last one, s.
         self._filled = self._ticks = 0
         self._last = 0.0
         self._notes: list[Note] = []

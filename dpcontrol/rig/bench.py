@@ -167,6 +167,7 @@ class RecordedRig:
     def __init__(self, record: BenchRecord, program: TickProgram) -> None:
         self._record, self._program, self.period = record, program, record.period
         self._tick, self._stopped = -1, False
+        # Sensors of a reading that was not sent.
         self._nothing = np.zeros(record.positions.shape[1], dtype=bool)
         self.difference = 0.0
 
@@ -209,6 +210,7 @@ class RecordedRig:
         if math.isfinite(sent):
             self.difference = max(self.difference, abs(acceleration - sent))
             memory = self._program.memory
+            # The program has already added its own command to the cart's velocity.
             memory.velocity[:] += (sent - acceleration) * self.period
             memory.sent[-1] = sent
 
@@ -218,13 +220,18 @@ class RecordedRig:
 
 
 class UdpBench(AbstractContextManager["UdpBench"]):
-    """Bench server on its own socket, as a context manager.
+    """Bench server on its own socket, as a context manager: it waits for loops and serves one run after the other.
 
     Args:
         make: returns the rig of a run, given the pending commands.
+        arms: number of arms.
+        ticks: maximum ticks of a run.
         period: control period, s.
+        host: address of this computer at which loops can reach the bench.
+        port: port, 0 for any free one.
         key: key shared with the loops.
         insecure: accept loops on other computers without a key.
+        settings: watchdog, priority and number of runs.
         recorded: maximum ticks in the record.
         report: receives messages about events.
 
@@ -250,11 +257,14 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self._make, self._arms, self._ticks, self._period, self._report = make, arms, ticks, period, report
         self._key, self._settings = key, settings or BenchServerSettings()
         self._recorded = min(ticks, ticks if recorded is None else recorded)
-        _, where = resolved(host, port, name=f"rig: --host {host}", key=key, insecure=insecure, family=socket.AF_INET)
+        _, socket_address = resolved(
+            host, port, name=f"rig: --host {host}", key=key, insecure=insecure, family=socket.AF_INET
+        )
+        # Session numbers are derived from it, so that only the addressee of a welcome can begin a run.
         self._secret = secrets.token_bytes(16)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind(where)
+            self._socket.bind(socket_address)
         except OSError as error:
             self._socket.close()
             raise InputError(
@@ -376,8 +386,13 @@ class _BenchRun:
         self._socket, self._client, self._rig, self._talk, self._settings = sock, client, rig, talk, settings
         self._others, self._record = others, record
         self._ticks, self._tick = ticks, -1
+        # Newest tick with a command, periods in which an old command was repeated, and whether a command came since the
+        # last tick.
         self._heard, self._held, self._fresh = -1, 0, True
+        # Ticks since the loop's last packet, whether the cart is braked, the loop's farewell or "", and rejected
+        # packets.
         self._silent, self._stopped, self._over, self._ignored = 0, False, "", 0
+        # Condition of the bench and its text, which all readings carry.
         self._condition, self._text = Condition.WELL, ""
 
     @property
@@ -644,7 +659,7 @@ class BenchRecipe(Brief):
 
 
 def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe: Connection) -> None:
-    """Serve one run in a process of its own, and send the address and the record to its parent through the pipe.
+    """Serve one run in a process of its own, and send address and record to its parent through the pipe.
 
     `key` is the key that the loop must have.
     """

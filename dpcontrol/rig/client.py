@@ -176,6 +176,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         address: address of the bench, for messages.
         queued: pending commands at the start, oldest first, m/s².
         zeros: readings (n,) of its hanging arms, which are subtracted, rad.
+        settings: time limits.
         key: key shared with the bench.
 
     Raises:
@@ -198,10 +199,14 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         self._settings, self._queued = settings or LinkSettings(), queued
         self.fault: Event | None = None
         self.address, self._channel = address, channel
+        # A reading that came before its tick, which its tick uses.
         self._early: ReadingPacket | None = None
+        # The present tick, and the time of tick 0 on this computer's clock, s.
         self._tick, self._begin = -1, math.inf
+        # The last error of the channel or of a packet explains why a bench does not respond.
         self._stopped, self._problem = False, ""
         self._worst = 0.0
+        # Figures of `Deadlines`. The bench counts the first and the fourth; refused packets are those at this end.
         self._held = self._missed = self._lost = self._ignored = self._refused = 0
         # An unpredictable number shows that an answer belongs to this HELLO.
         self._request = secrets.token_bytes(8)
@@ -215,6 +220,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         self._refused = 0
         self.period = self.welcome.period
         self._last_packet = time.perf_counter()
+        # Sensors of a tick without a reading, and the last positions, which such a tick repeats.
         self._nothing = np.zeros(self.welcome.arms + 1, dtype=bool)
         self._positions = np.zeros(self.welcome.arms + 1)
         arm_zeros = zeros[: self.welcome.arms]
@@ -358,6 +364,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
             raise ArithmeticError(f"the bench ended the run: {content.text}")
         if not isinstance(content, ReadingPacket):
             return None
+        # The bench counts as lost if this time is too long ago.
         self._last_packet = now = time.perf_counter()
         # The earliest arrival of any reading on the bench's clock, which may run slightly slower.
         self._begin = min(self._begin + _DRIFT * self.period, now - content.tick * self.period)
@@ -431,10 +438,10 @@ class UdpRig(PacketRig):
 
     def __init__(self, address: tuple[str, int], *, key: bytes = b"", insecure: bool = False, **settings: Any) -> None:
         name = f"{SCHEME}://{address[0]}:{address[1]}"
-        family, where = resolved(*address, name=f"rig {name}", key=key, insecure=insecure)
+        family, socket_address = resolved(*address, name=f"rig {name}", key=key, insecure=insecure)
         try:
             channel = socket.socket(family, socket.SOCK_DGRAM)
-            channel.connect(where)
+            channel.connect(socket_address)
         except OSError as error:
             raise InputError(f"rig {name}: {error.strerror or error}; check the address") from error
         # Packets that arrive during a stall should wait there.

@@ -104,6 +104,20 @@ class RigSession:
         limits: the cart's limits, of which the acceleration bounds commands.
         zeros: present readings (n,) of hanging arms, rad.
         encoders: True for each arm (n,) with an encoder.
+
+    Attributes:
+        positions: reading (n+1,) of each tick, rad and m.
+        present: for each tick, True if all sensors were read.
+        commands: command after each reading, m/s².
+        switches: state of the limit switches at each tick: -1, 0 or 1.
+        late: number of late ticks.
+        held_from: tick from which the cart is held for the fit of the swing.
+        chirped_from: first tick of the chirp.
+        chirped_to: last tick of the chirp.
+        rang_to: last tick of the free swing, 0 before.
+        home: cart's reading at the start, m.
+        reach: largest distance from home that is permitted now, m.
+        step: name of the present step, to which a fault belongs.
     """
 
     def __init__(
@@ -128,6 +142,7 @@ class RigSession:
         self.gain = 0.0
         """Cart reading per command, once known; its sign is the drive's direction."""
         self.reach, self.step = REACH, "still"
+        # Ticks of the velocity's difference, and ticks since all sensors were read.
         self._span = max(1, round(_SLOPE / self.period))
         self._gap = 0
         self.read()
@@ -174,9 +189,9 @@ class RigSession:
             sensors = [*(f"the encoder of arm {k + 1}" for k in range(self.arms.count)), "the cart's scale"]
             unread = [sensors[k] for k in np.flatnonzero(~reading.present)]
             raise Halted(Cause.UNREAD, {"sensors": unread, "seconds": self._gap * self.period})
-        away = self.cart - self.home
-        if abs(away) > self.reach:
-            raise Halted(Cause.LEFT, {"reach": self.reach, "away": away, "late": self.late, "ticks": self.tick})
+        displacement = self.cart - self.home
+        if abs(displacement) > self.reach:
+            raise Halted(Cause.LEFT, {"reach": self.reach, "away": displacement, "late": self.late, "ticks": self.tick})
         return reading
 
     def follow(self, path: Array, feedforward: Array) -> None:
@@ -382,9 +397,10 @@ def _creep(session: RigSession, side: int, most: float, speed: float) -> tuple[i
 
 def _return(session: RigSession, options: CommissioningSettings) -> None:
     """Move the cart back to its home smoothly, on a polynomial without jumps of velocity and acceleration."""
-    away = session.cart - session.home
-    duration = max(1.875 * abs(away) / (2 * options.creep), 0.5)
+    displacement = session.cart - session.home
+    duration = max(1.875 * abs(displacement) / (2 * options.creep), 0.5)
     shares = np.linspace(0, 1, max(3, round(duration / session.period)))
-    path = away * (1 - shares**3 * (10 - 15 * shares + 6 * shares**2))
+    # The polynomial of degree five from 1 to 0, flat at both ends.
+    path = displacement * (1 - shares**3 * (10 - 15 * shares + 6 * shares**2))
     session.follow(path, np.gradient(np.gradient(path, session.period), session.period))
     session.hold(0.3)

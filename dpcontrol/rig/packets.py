@@ -272,6 +272,7 @@ class Talk:
     def __init__(self, role: Role, session: int, *, key: bytes = b"") -> None:
         self._role, self._session, self._key = role, session, key
         self._other = Role.BENCH if role is Role.LOOP else Role.LOOP
+        # Sequence numbers of the last packet sent, and of the newest one received.
         self._sequence = self._newest = 0
 
     def pack(self, message: Message) -> bytes:
