@@ -53,8 +53,9 @@ _VERSION = "2"
 
 
 def _settle(heyoka: Any) -> None:
-    """Configure heyoka at its first use: machine code goes to this program's cache, and log messages do not reach
-    stdout.
+    """Configure heyoka at its first use.
+
+    Its machine code goes to this program's cache, and its log messages do not reach stdout.
     """
     # heyoka logs to stdout, which would corrupt JSON output.
     heyoka.set_logger_level_critical()
@@ -139,24 +140,22 @@ def interpreted(
     Returns:
         the entries of each output, [i][k], in column-major order.
     """
-    work_vector: dict[int, Any] = {}
+    memory: dict[int, Any] = {}
     nonzeros = [function.sparsity_out(i).get_triplet() for i in range(function.n_out())]
-    out = [[zero] * function.numel_out(i) for i in range(function.n_out())]
+    outputs = [[zero] * function.numel_out(i) for i in range(function.n_out())]
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
-        targets, sources = function.instruction_output(k), function.instruction_input(k)
+        target, source = function.instruction_output(k), function.instruction_input(k)
         if operation == ca.OP_CONST:
-            work_vector[targets[0]] = constant(function.instruction_constant(k))
+            memory[target[0]] = constant(function.instruction_constant(k))
         elif operation == ca.OP_INPUT:
-            work_vector[targets[0]] = arguments[sources[0]][sources[1]]
+            memory[target[0]] = arguments[source[0]][source[1]]
         elif operation == ca.OP_OUTPUT:
-            rows, columns = nonzeros[targets[0]]
-            out[targets[0]][rows[targets[1]] + function.size1_out(targets[0]) * columns[targets[1]]] = work_vector[
-                sources[0]
-            ]
+            rows, columns = nonzeros[target[0]]
+            outputs[target[0]][rows[target[1]] + function.size1_out(target[0]) * columns[target[1]]] = memory[source[0]]
         else:
-            work_vector[targets[0]] = applied(operation, *(work_vector[i] for i in sources))
-    return out
+            memory[target[0]] = applied(operation, *(memory[i] for i in source))
+    return outputs
 
 
 def to_heyoka(
@@ -260,7 +259,7 @@ class Compiled:
             with suppress(Exception):
                 return pickle.loads(content)
         variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
-        arguments = [variables[where] for where in self.slices.values()]
+        arguments = [variables[place] for place in self.slices.values()]
         outputs = to_heyoka(self.function, arguments, switches=True)
         machine = hy.cfunc(outputs, variables, batch_size=width, force_avx512=True, **COMPACT)
         if file is not None:
@@ -290,21 +289,20 @@ class _ByCasadi:
         self._alive: list[Any] = []
 
     def _buffers(self, count: int) -> tuple[Any, list[Array], Array]:
-        """Return the call that evaluates `count` points, the arrays (count, size) of its inputs, and that of its
-        output.
+        """Return the call that evaluates `count` points, and the arrays on which it works.
 
-        The call reads and writes these arrays. They are made once for each count.
+        The arrays (count, size) are those of the inputs and that of the output. They are made once for each count.
         """
         if count not in self._made:
             function = self._function.map(count)
             pair: Any = function.buffer()
             buffer, evaluate = pair
             inputs = [np.zeros((count, self._function.size1_in(i))) for i in range(function.n_in())]
-            out = np.zeros((count, self._function.numel_out(0)))
+            output = np.zeros((count, self._function.numel_out(0)))
             for i, array in enumerate(inputs):
                 buffer.set_arg(i, array.data)
-            buffer.set_res(0, out.data)
-            self._made[count] = evaluate, inputs, out
+            buffer.set_res(0, output.data)
+            self._made[count] = evaluate, inputs, output
             # The evaluator does not keep them alive.
             self._alive += [function, buffer]
         return self._made[count]
@@ -391,7 +389,7 @@ def fixed_step(equations: Equations) -> ca.Function:
 
 
 def compiled_step(equations: Equations) -> Compiled:
-    """Return `fixed_step` as machine code, for (M,) or (M, S) inputs.
+    """Return `fixed_step` as machine code, for one plant (M,) or many (M, S).
 
     Args:
         equations: equations with N states.

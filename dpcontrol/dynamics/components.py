@@ -148,8 +148,7 @@ class SymbolicPlant:
 
     @classmethod
     def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
-        """Return velocities (n+1,) and own states, corrected at the end of a step, such as a rate of zero for a stopped
-        joint.
+        """Return velocities (n+1,) and own states, corrected at the end of a step, such as a stopped joint's rate.
 
         Args:
             frame: symbols at the end of the step.
@@ -211,9 +210,7 @@ class Belt(SymbolicPlant):
 
     @classmethod
     def terms(cls, frame: ComponentFrame) -> Terms:
-        """Return the belt's pull on the cart as an acceleration, and the rates of its states: the motor's position and
-        velocity.
-        """
+        """Return the belt's pull on the cart as an acceleration, and the rates of the motor's position and velocity."""
         x, v, (stiffness, damping) = frame.position[-1], frame.velocity[-1], ca.vertsplit(frame.parameters)
         pull = stiffness * (frame.states[0] - x) + damping * (frame.states[1] - v)
         return Terms(rates=ca.vertcat(frame.states[1], frame.demand), drive=pull)

@@ -300,12 +300,12 @@ class _Buffered:
 
     def __call__(self, states: Array) -> Array:
         """Return the outputs (K, M) at states (K, N)."""
-        out = np.empty((len(states), len(self._out)))
+        outputs = np.empty((len(states), len(self._out)))
         for k, state in enumerate(states):
             self._state[:] = state
             self._run()
-            out[k] = self._out
-        return out
+            outputs[k] = self._out
+        return outputs
 
 
 @dataclass(frozen=True)

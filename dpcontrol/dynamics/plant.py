@@ -193,9 +193,7 @@ def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool, compo
     n, chain, s = count, chain_energies(count, friction=friction), _symbols()
 
     def lagrangian(q: ca.SX, v: ca.SX, p: ca.SX) -> ca.SX:
-        """Return the chain's Lagrangian plus gravity along the track, the components and, for a free cart, its own
-        terms.
-        """
+        """Return the chain's Lagrangian plus gravity along the track, the components and a free cart's own terms."""
         total = chain.lagrangian(q, v, p) + s.pull * ca.dot(chain.coupling, ca.sin(q[:n]))
         total += sum((term.lagrangian for term in _terms(q, v, components)), ca.SX(0))
         # The chain's Lagrangian includes a cart of 1 kg.
@@ -387,13 +385,13 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
         changes = ca.vertcat(solve_symmetric(parts.mass_matrix, impulses), 0)
     cart = changes[n] + knock
     rates = v[:n] + changes[:n] + jumps + ca.jacobian(parts.free_acceleration, parts.acceleration) * knock
-    after = ca.vertcat(q[:n], rates, q[n], v[n] + cart)
+    next_state = ca.vertcat(q[:n], rates, q[n], v[n] + cart)
     if level is not PlantLevel.CART:
-        after = ca.vertcat(after, a - cart / symbols.lag)
+        next_state = ca.vertcat(next_state, a - cart / symbols.lag)
     parameters = _parameters(count, level, friction)
     inputs = [_state(q, v, a, level), impulses, jumps, knock, parameters]
     names = ["state", "impulses", "jumps", "knock", "parameters"]
-    return ca.Function("blow", inputs, [ca.cse(ca.densify(after))], names, ["after"])
+    return ca.Function("blow", inputs, [ca.cse(ca.densify(next_state))], names, ["after"])
 
 
 @cache
@@ -515,8 +513,8 @@ def after_blow(
     plain_numbers = numbers[: len(numbers) - sum(len(component.numbers()) for component in plant.components)]
     plain_after = function(state[:size], no_change if impulses is None else impulses,
                            no_change if jumps is None else jumps, knock, plain_numbers)  # fmt: skip
-    after = np.concatenate([np.asarray(plain_after, dtype=float).ravel(), state[size:]])
+    next_state = np.concatenate([np.asarray(plain_after, dtype=float).ravel(), state[size:]])
     if plant.motor >= size:
         # The motor's loop does not react to blows on the cart.
-        after[2 * n + 2 : size] = state[2 * n + 2 : size]
-    return after
+        next_state[2 * n + 2 : size] = state[2 * n + 2 : size]
+    return next_state

@@ -71,10 +71,10 @@ class Section:
             offset: in the coordinates' unit.
             period: distance of the sheets offset + period · k of an angle; None on a line.
         """
-        row, along = _plane_rows(normal)
+        coordinate_row, along = _plane_rows(normal)
         if period is not None and not number("period", period) > 0:
             raise InputError(f"period = {period:g} of the section {name}: must be positive, or None on a line")
-        return cls(name, (*row, 0.0, 0.0), (*along, 0.0, 0.0), along, number("offset", offset), period)
+        return cls(name, (*coordinate_row, 0.0, 0.0), (*along, 0.0, 0.0), along, number("offset", offset), period)
 
     @classmethod
     def turning(cls, name: str, direction: Row) -> "Section":
@@ -86,8 +86,8 @@ class Section:
             name: name of the section.
             direction: row (2,) of v.
         """
-        row, along = _plane_rows(direction)
-        return cls(name, (0.0, 0.0, *row), (*along, 0.0, 0.0), along)
+        rate_row, along = _plane_rows(direction)
+        return cls(name, (0.0, 0.0, *rate_row), (*along, 0.0, 0.0), along)
 
     def where(self, side: Row, *, middle: float = 0.0, reach: float | None = None) -> "Section":
         """Return the part of the section on one side.
@@ -99,8 +99,8 @@ class Section:
             middle: value of side · q at the border, or between the two parts.
             reach: distance from `middle`; None for one side.
         """
-        row = (*(float(value) for value in side), 0.0, 0.0)
-        return replace(self, side=row, middle=middle, reach=reach)
+        side_row = (*(float(value) for value in side), 0.0, 0.0)
+        return replace(self, side=side_row, middle=middle, reach=reach)
 
     def height(self, states: Array) -> Array:
         """Return the signed distance n·x - offset (…) of states from the section, in the unit of n·x.
@@ -125,8 +125,7 @@ class Section:
         return self.offset + float(np.rint(self.height(state) / self.period)) * self.period
 
     def sheets(self, states: Array) -> Array:
-        """Return the number of the sheet below each state (…), which changes where a sampled trajectory crosses the
-        section.
+        """Return the number of the sheet below each state (…); it changes where a trajectory crosses the section.
 
         Without a period it is 1 above the section and 0 elsewhere.
 
@@ -168,14 +167,14 @@ class Section:
         """
         if self.side is None:
             return True
-        beyond = float(np.dot(self.side, state)) - self.middle
-        return beyond > 0 if self.reach is None else abs(beyond) > self.reach
+        distance = float(np.dot(self.side, state)) - self.middle
+        return distance > 0 if self.reach is None else abs(distance) > self.reach
 
     def kept_by(self, reverser: Array, centre: Array) -> bool:
-        """True if a reverser maps the section onto itself, so that the stable tube's cut mirrors that of the unstable
-        tube.
+        """True if a reverser maps the section onto itself.
 
-        The section's side must also map onto itself.
+        The stable tube's cut by such a section mirrors that of the unstable tube. The section's side must also map onto
+        itself.
 
         Args:
             reverser: matrix (N, N).
@@ -186,10 +185,9 @@ class Section:
         def maps_onto_itself(
             row: tuple[float, ...], level: float, period: float | None, signs: tuple[float, ...]
         ) -> bool:
-            """True if the planes row · x = level + period · k are the same planes after the reverser, the row times a
-            sign.
+            """True if the reverser maps the planes row · x = level + period · k onto themselves.
 
-            `signs` are the signs to try.
+            It may turn the row into its negative only if `signs` contain -1.
             """
             for sign in signs:
                 if np.allclose(np.asarray(row) @ reverser, sign * np.asarray(row)):
@@ -444,12 +442,11 @@ class CrossingFinder:
         return levels
 
     def _pass(self, lane: int, sheet: int, section: Section, sense: float) -> None:
-        """Let a lane continue through a sheet whose crossing did not count, forward (`sense` 1) or backward (-1) in
-        time.
+        """Let a lane continue through a sheet whose crossing did not count.
 
-        A periodic section is two parallel sheets, one period apart, whose levels are parameters of the lane. The
-        crossed one (`sheet` 0 or 1) stays, since heyoka ignores it until the trajectory has left it. The other one
-        moves to the next level in the direction of motion.
+        Time runs forward (`sense` 1) or backward (-1). A periodic section is two parallel sheets, one period apart,
+        whose levels are parameters of the lane. The crossed one (`sheet` 0 or 1) stays, since heyoka ignores it until
+        the trajectory has left it. The other one moves to the next level in the direction of motion.
         """
         if section.period is None:
             return
@@ -479,10 +476,9 @@ def _at_rest(equations: Equations) -> list[tuple[Any, Any]]:
 
 
 def _with_tangents(equations: Equations) -> list[tuple[Any, Any]]:
-    """Return the (variable, rate) pairs of the states (N,), then of one tangent vector (N,) that the flow carries
-    along.
+    """Return the (variable, rate) pairs of the states (N,) and of one tangent vector (N,).
 
-    The tangent's rate is v' = Df(x) v: half the work of a state-transition matrix.
+    The flow carries the tangent along. Its rate is v' = Df(x) v: half the work of a state-transition matrix.
     """
     pairs = _at_rest(equations)
     tangent = hy.make_vars(*[f"v{i}" for i in range(len(pairs))])
@@ -691,7 +687,7 @@ class Propagator:
         return self._flown(states, durations, stm=False)
 
     def flows_with_stm(self, states: Array, durations: Array) -> tuple[Array, Array]:
-        """Return the states of `flows` with state-transition matrices.
+        """Return the states of `flows` with state-transition matrices, for the Newton steps of multiple shooting.
 
         The matrices are (K, N, N).
 
@@ -703,8 +699,8 @@ class Propagator:
             ArithmeticError: a state became infinite or undefined.
         """
         n = self.equations.dimension
-        out = self._flown(states, durations, stm=True)
-        return out[:, :n].copy(), out[:, n:].reshape(-1, n, n).copy()
+        final_states = self._flown(states, durations, stm=True)
+        return final_states[:, :n].copy(), final_states[:, n:].reshape(-1, n, n).copy()
 
     def flows_with_tangents(self, states: Array, durations: Array, tangents: Array) -> tuple[Array, Array]:
         """Return the states (K, N) of `flows` and images of tangents.
@@ -717,8 +713,8 @@ class Propagator:
             tangents: tangents (K, N) at the starts.
         """
         n = self.equations.dimension
-        out = self._flown(np.hstack([states, tangents]), durations, stm=False, keep_lost=True)
-        return out[:, :n], out[:, n:]
+        final_states = self._flown(np.hstack([states, tangents]), durations, stm=False, keep_lost=True)
+        return final_states[:, :n], final_states[:, n:]
 
     def _flown(self, states: Array, durations: Array, *, stm: bool, keep_lost: bool = False) -> Array:
         """Return the states (K, N) at the ends of K segments, propagated `LANES` at a time.
@@ -795,10 +791,10 @@ class PolynomialInputPropagator:
         Raises:
             ArithmeticError: the state became infinite or undefined, or is absurdly fast.
         """
-        integrator, x, c = self._views
-        integrator.time, x[:], c[:] = 0.0, state, coefficients
+        integrator, state_view, coefficient_view = self._views
+        integrator.time, state_view[:], coefficient_view[:] = 0.0, state, coefficients
         check_arrival(integrator, integrator.propagate_until(duration, max_steps=INTERVAL_STEPS)[0])
-        return x.copy()
+        return state_view.copy()
 
     def sample(self, state: ArrayLike, coefficients: ArrayLike, times: ArrayLike) -> Array:
         """Return the states (K, N) at given times.
@@ -811,8 +807,8 @@ class PolynomialInputPropagator:
         Raises:
             ArithmeticError: the state became infinite or undefined, or is absurdly fast.
         """
-        integrator, x, c = self._views
-        integrator.time, x[:], c[:] = 0.0, state, coefficients
+        integrator, state_view, coefficient_view = self._views
+        integrator.time, state_view[:], coefficient_view[:] = 0.0, state, coefficients
         result = integrator.propagate_grid(np.asarray(times, dtype=float), max_steps=INTERVAL_STEPS)
         check_arrival(integrator, result[0])
         return np.array(result[-1])

@@ -184,8 +184,9 @@ class System(Brief, InUnits):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the N entries of a state, for tables and files: coordinates, then their rates (v_x) or momenta
-        (p_x).
+        """Names of the N entries of a state, for tables and files.
+
+        Coordinates come first, then their rates (v_x) or momenta (p_x).
         """
         names, state = self.coordinates, np.linspace(0.1, 0.9, self.dimension)
         # States (q, p) are their own momenta; at a generic state, rates differ from momenta.
@@ -370,9 +371,7 @@ def _energy(
     symbols = ca.SX.sym("c", len(numbers))
 
     def energy(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
-        """Return the user's energy at positions q (2,) and velocities or momenta v (2,); the parameters are the
-        symbols.
-        """
+        """Return the user's energy at positions q (2,) and velocities or momenta v (2,), with symbols as parameters."""
         named = {key: symbols[k] for k, key in enumerate(numbers)}
         try:
             value = ca.SX(function((q[0], q[1]), (v[0], v[1]), named))
@@ -634,10 +633,9 @@ def _reversers(
 
 
 def _is_half_turn(numeric: NumericEquations, saddle: Array, symmetry: Array) -> bool:
-    """True if a symmetry (N, N) is -1 on all oscillations about a saddle, so that it advances their orbits by half a
-    period.
+    """True if a symmetry (N, N) is -1 on all oscillations about a saddle.
 
-    The oscillations are the imaginary eigenvalues' vectors.
+    Such a symmetry advances the orbits by half a period. The oscillations are the vectors of imaginary eigenvalues.
     """
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(saddle)))
     oscillations = vectors[:, np.abs(np.imag(values)) > 1e-6 * np.abs(values)]
@@ -726,9 +724,9 @@ def _unit_row(direction: NDArray[Any]) -> Array:
 
     Its largest entry is positive, and rounding is cut off.
     """
-    row = np.real(direction) / np.linalg.norm(np.real(direction))
-    row = np.where(np.abs(row) > 1e-12, row, 0.0)
-    return row * np.sign(row[np.argmax(np.abs(np.round(row, 9)))]) + 0.0
+    unit_row = np.real(direction) / np.linalg.norm(np.real(direction))
+    unit_row = np.where(np.abs(unit_row) > 1e-12, unit_row, 0.0)
+    return unit_row * np.sign(unit_row[np.argmax(np.abs(np.round(unit_row, 9)))]) + 0.0
 
 
 @dataclass(frozen=True)

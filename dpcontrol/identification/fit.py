@@ -224,8 +224,11 @@ class Windows:
         self.swings, self.model = swings, model
         edges = [swing.edges(length) for swing in swings]
         counts = [len(rows) - 1 for rows in edges]
-        self.windows: Sequence[range] = [range(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
-        self.first, self.last = (np.concatenate(rows) for rows in zip(*((e[:-1], e[1:]) for e in edges), strict=True))
+        self.windows: Sequence[range] = [range(begin, end) for begin, end in pairwise(np.cumsum([0, *counts]).tolist())]
+        self.first, self.last = (
+            np.concatenate(rows)
+            for rows in zip(*((swing_edges[:-1], swing_edges[1:]) for swing_edges in edges), strict=True)
+        )
         self.samples = int((self.last - self.first).max()) + 1
         self.periods = np.repeat([swing.period for swing in swings], counts)
         self.drive = np.zeros((2, len(self.first), self.samples))
@@ -489,19 +492,23 @@ def design_experiments(
     fitted_ratios = np.flatnonzero(values)
     half_turns = np.linspace(-np.pi, np.pi, 2 * settings.steps + 1)[1:-1]
     # A mirrored swing gives the same information, so the first angle is positive. Upright arms at rest do not move.
-    grid = [a for a in product(half_turns[half_turns > -1e-9], *[half_turns] * (n - 1)) if np.abs(a).max() > 1e-9]
+    grid = [
+        angle_set
+        for angle_set in product(half_turns[half_turns > -1e-9], *[half_turns] * (n - 1))
+        if np.abs(angle_set).max() > 1e-9
+    ]
     sines = list(product(settings.amplitudes, settings.frequencies))
     times = np.arange(round(settings.seconds / settings.period) + 1) * settings.period
-    plans = [("swing", a, 0.0, 0.0) for a in grid] + [("cart", (0.0,) * n, *sine) for sine in sines]
+    plans = [("swing", angle_set, 0.0, 0.0) for angle_set in grid] + [("cart", (0.0,) * n, *sine) for sine in sines]
     starts = np.zeros((len(plans), 2 * n))
     accelerations, velocities = np.zeros((2, len(plans), len(times)))
-    for row, (kind, angles, amplitude, frequency) in enumerate(plans):
-        starts[row, :n] = angles
+    for number, (kind, angles, amplitude, frequency) in enumerate(plans):
+        starts[number, :n] = angles
         if kind == "swing":
             continue
         angular_frequency = 2 * np.pi * frequency
-        accelerations[row] = amplitude * np.cos(angular_frequency * (times + settings.period / 2))
-        velocities[row] = amplitude / angular_frequency * np.sin(angular_frequency * times)
+        accelerations[number] = amplitude * np.cos(angular_frequency * (times + settings.period / 2))
+        velocities[number] = amplitude / angular_frequency * np.sin(angular_frequency * times)
     model = Swings(arms)
     informations: list[tuple[Array, float]] = []
     for first in range(0, len(starts), _LANES):

@@ -516,7 +516,7 @@ def driven(recording: Recording, carts: tuple[CartMotion, ...]) -> tuple[Array, 
     """
     if not carts:
         return np.zeros(len(recording.time)), np.zeros(len(recording.time))
-    return np.concatenate([c.velocity for c in carts]), np.concatenate([c.acceleration for c in carts])
+    return np.concatenate([cart.velocity for cart in carts]), np.concatenate([cart.acceleration for cart in carts])
 
 
 def _stretches(recording: Recording, span: float) -> tuple[tuple[int, int, int], ...]:
@@ -528,7 +528,7 @@ def _stretches(recording: Recording, span: float) -> tuple[tuple[int, int, int],
     for index, (first, end) in enumerate(recording.segments):
         parts = int(np.ceil((end - first) * recording.dt / span))
         edges = np.linspace(first, end, max(parts, 1) + 1).round().astype(int)
-        stretches += [(index, int(a), int(b)) for a, b in pairwise(edges)]
+        stretches += [(index, int(start), int(stop)) for start, stop in pairwise(edges)]
     return tuple(stretches)
 
 

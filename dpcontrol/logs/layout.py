@@ -359,7 +359,7 @@ def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
         arms: number of arms.
         has_cart: True if the rig has a cart.
     """
-    arms_part = tuple(f"{what}_{i + 1}" for what in ("angle", "rate") for i in range(arms))
+    arms_part = tuple(f"{quantity}_{i + 1}" for quantity in ("angle", "rate") for i in range(arms))
     return arms_part + (("cart_position", "cart_velocity") if has_cart else ())
 
 

@@ -306,9 +306,9 @@ def _numbers(cells: Sequence[Any], name: str, path: Path) -> Array:
     except (TypeError, ValueError):
         texts = [str(cell).strip() for cell in cells]
     numbers = ["nan" if text.casefold() in _MISSING else text for text in texts]
-    for row, text in enumerate(numbers, start=1):
+    for row_number, text in enumerate(numbers, start=1):
         if not _NUMBER.fullmatch(text):
-            raise InputError(f"{path}: row {row} of column {name!r} holds {text!r}; it must be a number")
+            raise InputError(f"{path}: row {row_number} of column {name!r} holds {text!r}; it must be a number")
     return np.array(numbers, dtype=float)
 
 

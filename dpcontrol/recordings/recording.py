@@ -513,6 +513,6 @@ def simulated_recording(
         time=np.arange(edges[-1]) * period,
         angles=np.concatenate(swings),
         rates=None,
-        segments=tuple((int(a), int(b)) for a, b in pairwise(edges)),
+        segments=tuple((int(first), int(end)) for first, end in pairwise(edges)),
         arm_lengths=arms.length,
     )

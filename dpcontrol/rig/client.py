@@ -365,9 +365,9 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         if not isinstance(content, ReadingPacket):
             return None
         # The bench counts as lost if this time is too long ago.
-        self._last_packet = now = time.perf_counter()
+        self._last_packet = arrival = time.perf_counter()
         # The earliest arrival of any reading on the bench's clock, which may run slightly slower.
-        self._begin = min(self._begin + _DRIFT * self.period, now - content.tick * self.period)
+        self._begin = min(self._begin + _DRIFT * self.period, arrival - content.tick * self.period)
         return content
 
     def _lost_contact(self) -> NoReturn:
