@@ -166,7 +166,7 @@ class ArmChainParameters(Settings):
 
     @property
     def friction(self) -> tuple[Friction, ...]:
-        """Laws of friction in addition to the viscous one."""
+        """Laws of friction in addition to the viscous one; they select the equations."""
         return tuple(law for law in Friction if getattr(self, law))
 
     def named(self) -> dict[str, tuple[float, str]]:
@@ -184,7 +184,7 @@ class ArmChainParameters(Settings):
         return named_values
 
     def with_value(self, name: str, value: float) -> "ArmChainParameters":
-        """Return the same arms with another value of one parameter.
+        """Return the same arms with another value of one parameter, for searches over a range of it.
 
         Args:
             name: name of the parameter, as in `named`.
@@ -264,7 +264,7 @@ class ArmChainParameters(Settings):
 
     @property
     def mass_in_line(self) -> Array:
-        """Mass matrix (n, n) with the arms in line, kg m²."""
+        """Mass matrix (n, n) with the arms in line, kg m², by the arms' rates."""
         n = self.count
         mass = np.zeros((n, n))
         mass[np.triu_indices(n)] = self.base()[: n * (n + 1) // 2]
@@ -272,17 +272,17 @@ class ArmChainParameters(Settings):
 
     @property
     def torques(self) -> Array:
-        """Gravity's largest torque (n,) on each arm and those that it carries, N m."""
+        """Gravity's largest torque (n,) on each arm and those that it carries, N m: the base parameters G."""
         n = self.count
         return self.base()[n * (n + 1) // 2 :][:n]
 
     @property
     def natural_time(self) -> float:
-        """Period of the slowest swing of the hanging arms, s."""
+        """Period of the slowest swing of the hanging arms, s, a unit of time for arms of any size."""
         return float(2 * np.pi * np.sqrt(np.linalg.eigvals(self.mass_in_line / self.torques[:, None]).real.max()))
 
     def with_tip(self, mass: float) -> "ArmChainParameters":
-        """Return the same arms with a small weight at the end of the outermost one.
+        """Return the same arms with a small weight at the end of the outermost one, which can make feedback easier.
 
         Args:
             mass: mass of the weight, kg.
@@ -332,11 +332,11 @@ class ArmChainParameters(Settings):
         return replace(self, gravity=self.gravity * length / time**2, smoothing=self.smoothing / time, **values)
 
     def frictionless(self) -> "ArmChainParameters":
-        """Return the same arms without friction."""
+        """Return the same arms without friction, as for growth rates that friction must not hide."""
         return replace(self, viscous=(0.0,) * self.count, coulomb=(), quadratic=())
 
     def viscous_only(self) -> "ArmChainParameters":
-        """Return the same arms with viscous friction only."""
+        """Return the same arms with viscous friction only, whose base parameters have the fewest entries."""
         return replace(self, coulomb=(), quadratic=())
 
     def planned(self) -> "ArmChainParameters":
@@ -348,7 +348,7 @@ class ArmChainParameters(Settings):
         return replace(self, smoothing=max(self.smoothing, _PLANNED_SMOOTHING))
 
     def with_friction(self, factor: float) -> "ArmChainParameters":
-        """Return the same arms with scaled friction.
+        """Return the same arms with scaled friction, for a plant that differs from its model.
 
         Args:
             factor: factor on every coefficient of friction.
@@ -702,7 +702,7 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
 
 
 def with_laws(arms: ArmChainParameters, laws: tuple[Friction, ...]) -> ArmChainParameters:
-    """Return the same arms with other laws of friction.
+    """Return the same arms with other laws of friction, as identification tries them.
 
     Args:
         arms: parameters of the arms.
@@ -729,7 +729,7 @@ class Uncertainty:
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """The covariance (f, f)."""
+        """The covariance of the ratios (f, f)."""
         return np.reshape(self.covariance, (len(self.names), len(self.names)))
 
     def check(self, arms: ArmChainParameters) -> None:
@@ -756,7 +756,7 @@ class Uncertainty:
             )
 
     def drawn(self, arms: ArmChainParameters, random: np.random.Generator, *, scale: float = 1.0) -> ArmChainParameters:
-        """Draw arms from the covariance about given ones, as possible plants for a campaign.
+        """Draw arms from the covariance about given ones, as the plant of a simulated run.
 
         Negative friction becomes zero. Impossible ratios, such as a negative inertia, are drawn again.
 

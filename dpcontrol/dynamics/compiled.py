@@ -193,7 +193,7 @@ def to_heyoka(
 
 
 def check_operations(function: ca.Function) -> None:
-    """Reject a function that cannot be compiled.
+    """Reject a function that cannot be compiled, before a run needs it.
 
     Args:
         function: casadi function of column vectors.

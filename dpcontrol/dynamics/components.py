@@ -33,7 +33,13 @@ from dpcontrol.foundation.shown import Brief
 
 
 class Sizes(NamedTuple):
-    """Numbers of a component's states, parameters and modes."""
+    """Numbers of a component's states, parameters and modes, by which its symbols are made.
+
+    Attributes:
+        states: number of own states, which follow the plant's.
+        parameters: number of own parameters.
+        modes: number of own modes, which are chosen at the beginning of a step and are inputs of the plant.
+    """
 
     states: int = 0
     parameters: int = 0
@@ -69,7 +75,7 @@ class ComponentFrame(Brief):
 
 
 class Terms(NamedTuple):
-    """A component's part in the equations of motion.
+    """A component's part in the equations of motion; parts that it does not have are zero.
 
     Attributes:
         lagrangian: kinetic minus potential energy, J.
@@ -160,7 +166,7 @@ class SymbolicPlant:
         return tuple(float(value) for entry in fields(self) for value in np.atleast_1d(getattr(self, entry.name)))
 
     def start(self, state: Array) -> Array:
-        """Return the first values of the component's states.
+        """Return the first values of the component's states at the start of a run.
 
         Args:
             state: state (2n+2,) of arms and cart.

@@ -81,7 +81,7 @@ Energy = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
 
 
 def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed: int, parameters: ca.SX) -> Mechanics:
-    """Derive the equations of motion from energies.
+    """Derive the equations of motion from energies, by Lagrange's equations with dissipation.
 
     Args:
         lagrangian: function of (position, velocity, parameters), a scalar.
@@ -146,16 +146,16 @@ class Equations(Brief):
 
     @property
     def dimension(self) -> int:
-        """Length of the state."""
+        """Length N of the state."""
         return self.state.shape[0]
 
     @property
     def input_count(self) -> int:
-        """Number of inputs (0 without a cart)."""
+        """Number of inputs m (0 without a cart)."""
         return self.inputs.shape[0]
 
     def function(self) -> ca.Function:
-        """Return the casadi function (state, inputs, parameters) -> rate."""
+        """Return the casadi function (state (N,), inputs (m,), parameters (p,)) -> rate (N,)."""
         return ca.Function("rate", [self.state, self.inputs, self.parameters], [self.rate])
 
     @cached_property
@@ -331,7 +331,7 @@ class NumericEquations(Brief):
         return self._functions[name](x.reshape(-1, x.shape[-1])).reshape(*x.shape[:-1], *shape)
 
     def rate(self, states: Array) -> Array:
-        """Return f(x), shape of `states`.
+        """Return the rates f(x) with the shape of `states`.
 
         Args:
             states: states (…, N).
@@ -339,7 +339,7 @@ class NumericEquations(Brief):
         return self._call("rate", states, -1)
 
     def jacobian(self, states: Array) -> Array:
-        """Return ∂f/∂x, (…, N, N).
+        """Return the Jacobians ∂f/∂x, (…, N, N), for linear stability and Newton's method.
 
         Args:
             states: states (…, N).
@@ -355,7 +355,7 @@ class NumericEquations(Brief):
         return self._call("hamiltonian", states, 1)[..., 0]
 
     def gradient(self, states: Array) -> Array:
-        """Return ∂H/∂x, (…, N).
+        """Return the gradients ∂H/∂x of the energy, (…, N).
 
         Args:
             states: states (…, N).
@@ -371,7 +371,7 @@ class NumericEquations(Brief):
         return self._call("momentum", states, -1)
 
     def momentum_jacobian(self, states: Array) -> Array:
-        """Return ∂p/∂x, (…, n, N).
+        """Return the Jacobians ∂p/∂x of the canonical momenta, (…, n, N).
 
         Args:
             states: states (…, N).

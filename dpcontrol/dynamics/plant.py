@@ -45,7 +45,7 @@ Kinds = tuple[type[SymbolicPlant], ...]
 
 
 class PlantLevel(StrEnum):
-    """Response of the cart to a commanded acceleration."""
+    """Response of the cart to a commanded acceleration, see the head of this module."""
 
     CART = "cart"
     DRIVE = "drive"
@@ -54,7 +54,7 @@ class PlantLevel(StrEnum):
 
 @dataclass(frozen=True)
 class PlantParameters(Settings):
-    """The arms with their cart and drive.
+    """The arms with their cart and drive, as a simulated bench has them.
 
     Attributes:
         lag: time constant of the drive's velocity loop, s, 0 for an ideal drive.
@@ -107,7 +107,7 @@ class PlantParameters(Settings):
 
     @property
     def places(self) -> list[tuple[SymbolicPlant, int]]:
-        """The components, each with the index of its first state."""
+        """The components, each with the index of its first state in the plant's state."""
         sizes = [component.sizes(self.arms.count).states for component in self.components]
         return [(component, self.plain_size + sum(sizes[:k])) for k, component in enumerate(self.components)]
 
@@ -359,7 +359,7 @@ def check_component(component: SymbolicPlant, arms: int) -> None:
 
 @cache
 def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) -> ca.Function:
-    """Return a function for the state after an instantaneous blow, such as a test of robustness gives to arms or cart.
+    """Return a function for the state after an instantaneous blow to arms or cart.
 
     It maps (state, impulses (n,), jumps (n,), knock, parameters) to the state.
 
@@ -383,6 +383,7 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
         changes = solve_symmetric(mass, ca.vertcat(impulses, 0))
     else:
         changes = ca.vertcat(solve_symmetric(parts.mass_matrix, impulses), 0)
+    # The cart's velocity jumps with momentum (level force) and with the knock.
     cart = changes[n] + knock
     rates = v[:n] + changes[:n] + jumps + ca.jacobian(parts.free_acceleration, parts.acceleration) * knock
     next_state = ca.vertcat(q[:n], rates, q[n], v[n] + cart)
@@ -498,7 +499,7 @@ def _arms_rate(count: int, friction: tuple[Friction, ...]) -> ca.Function:
 def after_blow(
     plant: PlantParameters, state: Array, *, impulses: Array | None = None, jumps: Array | None = None, knock: float = 0
 ) -> Array:
-    """Return the state (N,) after a blow.
+    """Return the state (N,) of a plant after a blow that a simulated bench gives to arms or cart.
 
     Args:
         plant: parameters of the plant.

@@ -334,7 +334,7 @@ class CrossingFinder:
         return copy(_original(self.equations, "rates", made))
 
     def _rates(self, states: Array) -> Array:
-        """Return the rates (N, K) at states (K, N)."""
+        """Return the rates f(x) (N, K) at states (K, N)."""
         # Parameters that the equations never use are not part of the compiled code.
         used = self.parameters[: self._rate.nparams, None]
         return self._rate(np.ascontiguousarray(states.T), pars=np.repeat(used, len(states), axis=1))
@@ -588,7 +588,7 @@ class Propagator:
         return states[0], matrices[0]
 
     def sample(self, state: ArrayLike, times: ArrayLike, *, most_steps: int = 0) -> Array:
-        """Return the states (K, N) at given times.
+        """Return the states (K, N) of a trajectory at given times.
 
         Args:
             state: state (N,) at time zero.
@@ -626,7 +626,7 @@ class Propagator:
         return reached
 
     def sample_with_stm(self, state: ArrayLike, times: ArrayLike) -> tuple[Array, Array]:
-        """Return states (K, N) and state-transition matrices (K, N, N).
+        """Return the states (K, N) of a trajectory and its state-transition matrices (K, N, N) from time zero.
 
         Args:
             state: state (N,) at time zero.
@@ -781,7 +781,7 @@ class PolynomialInputPropagator:
         return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, **QUICK, time=0.0)
 
     def flow(self, state: ArrayLike, coefficients: ArrayLike, duration: float) -> Array:
-        """Return the state (N,) after a duration.
+        """Return the state (N,) after an interval with one polynomial of the inputs.
 
         Args:
             state: state (N,) at time zero.
@@ -797,7 +797,7 @@ class PolynomialInputPropagator:
         return state_view.copy()
 
     def sample(self, state: ArrayLike, coefficients: ArrayLike, times: ArrayLike) -> Array:
-        """Return the states (K, N) at given times.
+        """Return the states (K, N) within an interval with one polynomial of the inputs.
 
         Args:
             state: state (N,) at the first time, 0.
@@ -834,7 +834,7 @@ def _real() -> Any:
 
 
 def extended(values: ArrayLike | Sequence[Exact]) -> Extended:
-    """Return numbers as an array of 113-bit reals.
+    """Return numbers as an array of 113-bit reals, of the same shape.
 
     Args:
         values: doubles, whole numbers, fractions or decimals, of any shape.
@@ -853,7 +853,7 @@ def extended(values: ArrayLike | Sequence[Exact]) -> Extended:
 
 
 def pi_times(multiples: ArrayLike) -> Extended:
-    """Return multiples of π, each rounded once to 113 bits.
+    """Return multiples of π, each rounded once to 113 bits, for angles of exact states.
 
     Args:
         multiples: doubles of any shape.

@@ -78,7 +78,7 @@ class SystemOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class System(Brief, InUnits):
-    """A Hamiltonian system with N = 2n states.
+    """A Hamiltonian system with N = 2n states, in which orbits, tubes and connections are searched.
 
     Attributes:
         equilibria: name -> state (N,).
@@ -207,7 +207,7 @@ class System(Brief, InUnits):
 
     @cached_property
     def numeric(self) -> NumericEquations:
-        """The equations as numpy functions."""
+        """The equations as numpy functions with the system's parameters."""
         return NumericEquations(self.equations, self.parameters)
 
     @cached_property

@@ -154,7 +154,7 @@ def _compiled(arms: ArmChainParameters) -> Compiled:
 
 @dataclass(frozen=True, eq=False)
 class Swing(Brief):
-    """K measured samples of one uninterrupted swing."""
+    """K measured samples of one uninterrupted swing, to which states and ratios are fitted."""
 
     angles: Array
     """Absolute angles (K, n) from hanging, rad; NaN where a reading is missing."""
@@ -238,7 +238,7 @@ class Windows:
                 self.drive[:, w, : rows.stop - rows.start] = swing.drive[:, rows]
 
     def guess(self) -> Array:
-        """Return starts (W, 2n) from the measured angles."""
+        """Return the windows' starts (W, 2n) from the measured angles, as a first guess."""
         pairs = zip(self.swings, self.windows, strict=True)
         return np.concatenate([swing.guess(self.first[w.start : w.stop]) for swing, w in pairs])
 
@@ -456,7 +456,7 @@ class Design(Documented):
 
     @property
     def best(self) -> list[Experiment]:
-        """The five most informative usable experiments."""
+        """The five most informative usable experiments, for a list."""
         return self.ranked()[:5]
 
 

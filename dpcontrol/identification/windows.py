@@ -86,7 +86,7 @@ class LinearisedStretch(NamedTuple):
 
 @dataclass(eq=False)
 class Linearised:
-    """Residuals of all stretches and their derivatives at one point.
+    """Residuals of all stretches and their derivatives at one point, for a Gauss-Newton step.
 
     Attributes:
         stretches: linearisation of each stretch.
@@ -117,7 +117,7 @@ class Linearised:
 
 
 class WindowModel(Protocol):
-    """A model that predicts measurements in windows.
+    """A model that predicts measurements in windows, to be fitted by `fit_windows`.
 
     Attributes:
         windows: windows of each stretch, by number.
@@ -149,7 +149,7 @@ class DifferencedModel:
     windows: Sequence[range] = (range(1),)
 
     def linearised(self, starts: Array, values: Array, unknowns: NDArray[np.intp]) -> Linearised:
-        """Return residuals and derivatives, see `WindowModel`.
+        """Return residuals and derivatives for a Gauss-Newton step, see `WindowModel`.
 
         Args:
             starts: none.

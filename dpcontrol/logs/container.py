@@ -205,7 +205,7 @@ class McapFile:
             remaining = remaining[self.stream.write(remaining) or 0 :]
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Write a metadata record with its checksum.
+        """Write a metadata record with its checksum, and its entry in the summary.
 
         Args:
             name: name of the record.

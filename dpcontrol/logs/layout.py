@@ -40,7 +40,7 @@ Part = tuple[str, str, Any]
 
 
 class Message(NamedTuple):
-    """Message of fixed length.
+    """Message of fixed length, as a template.
 
     Attributes:
         data: the whole message, with zeros in place of the varying numbers.
@@ -119,7 +119,7 @@ def _row(count: int) -> Message:
 
 
 def string(text: str) -> bytes:
-    """Return std_msgs/String.
+    """Return std_msgs/String in CDR, as viewers read the arms' description from it.
 
     Args:
         text: content of the message.
@@ -129,7 +129,7 @@ def string(text: str) -> bytes:
 
 @dataclass(frozen=True)
 class Event:
-    """An event of a run.
+    """An event of a run: a decision of the loop, a fault or the end.
 
     Attributes:
         time: s.
@@ -421,7 +421,7 @@ class Block:
 
 @dataclass(frozen=True)
 class TickLayout:
-    """Messages of a tick in order of writing, and the channels.
+    """Messages of a tick in order of writing, and the channels: the log's layout, from which writer and reader work.
 
     Attributes:
         arm_lengths: (n,) m.
@@ -441,7 +441,7 @@ class TickLayout:
 
     @classmethod
     def of(cls, record: Mapping[str, str]) -> "TickLayout":
-        """Return the layout in a metadata record.
+        """Return the layout in a log's metadata record.
 
         Args:
             record: values of the record `LAYOUT_RECORD`.
@@ -484,7 +484,7 @@ class TickLayout:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the joints."""
+        """Names of the joints in the joint states."""
         return joint_names(self.arms, has_cart=self.has_cart)
 
     @cached_property
@@ -526,7 +526,7 @@ class TickLayout:
 
     @cached_property
     def messages(self) -> dict[str, Message]:
-        """Message of each topic, in the order of writing."""
+        """Template of each topic's message in a tick, in the order of writing."""
         state = joint_state(self.names, velocities=True)
         messages = {MEASURED: joint_state(self.names, velocities="rates" in self.parts)}
         messages |= {topic: state for part, topic in STATE_TOPICS.items() if part in self.parts}

@@ -49,7 +49,7 @@ MALFORMED = (*UNREADABLE, McapError, zstandard.ZstdError)
 
 @dataclass
 class VerifiedFile:
-    """The records of an MCAP file whose checksums agree.
+    """The records of an MCAP file whose checksums agree, before they are decoded.
 
     Attributes:
         path: file that was read.
@@ -125,7 +125,7 @@ class _Records(StreamReader):
 
 
 def unpacked(chunk: Chunk) -> bytes:
-    """Return the records in a chunk after checking its checksum.
+    """Return the records in a chunk as bytes, after checking its checksum.
 
     Args:
         chunk: the chunk.
@@ -162,7 +162,7 @@ def _recover(path: Path) -> str:
 
 
 def open_mcap(path: Path) -> VerifiedFile:
-    """Read an MCAP file of any contents, and compare its checksums.
+    """Read an MCAP file of any contents, and compare its checksums before anything is decoded.
 
     Args:
         path: the file.
@@ -327,7 +327,7 @@ class RunLog(Shown):
 
     @property
     def truth(self) -> Array | None:
-        """States of the plant, or None if they are unknown."""
+        """True states of the plant (N, 2n+2), or None if they are unknown, as on a rig."""
         return self.states.get("truth")
 
     @property
@@ -415,7 +415,7 @@ def segments_in(text: str, rows: int) -> tuple[tuple[int, int], ...]:
 
 
 def segment_numbers(segments: Sequence[tuple[int, int]], rows: int) -> NDArray[np.intp]:
-    """Return the number of each row's segment (K,), from 0.
+    """Return the number of each row's segment (K,), from 0, as a column of tables.
 
     Args:
         segments: first and end row of each segment, in order.

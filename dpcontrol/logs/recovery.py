@@ -121,7 +121,7 @@ def _numbered(data: bytes, tick: layout.TickLayout) -> tuple[int, bytes]:
 
 @dataclass(frozen=True)
 class Recovery(Documented):
-    """Ticks and losses of a recovered log.
+    """Ticks and losses of a recovered log, as `dpcontrol recover` reports them.
 
     Attributes:
         source: file that was read.

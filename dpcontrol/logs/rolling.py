@@ -43,7 +43,7 @@ _SOON = 1e-6
 
 @dataclass
 class Digest:
-    """Figures and events of one file of a night.
+    """Figures and events of one file of a night, from which the night's report is made.
 
     Attributes:
         number: number of the file, from 1.
@@ -91,7 +91,7 @@ class Digest:
         self._sums: Array | float = 0.0
 
     def text(self) -> str:
-        """Return the digest in JSON."""
+        """Return the digest in JSON, as the file beside the log holds it."""
         return json.dumps(asdict(self), indent=1)
 
     @classmethod
@@ -130,7 +130,7 @@ class Digest:
         self._now_on = name in (RESUME, LAP) or (self._now_on and name != RETURN and not ends_run)
 
     def add_ticks(self, times: Array, period: float, state: Array, reference: Array, extras: Array | None) -> None:
-        """Count the next rows of the loop.
+        """Add the next rows of the loop to the figures.
 
         Args:
             times: (K,) s.

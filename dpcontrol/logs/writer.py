@@ -194,7 +194,7 @@ class Note(NamedTuple):
 
 
 class ChunkEncoder:
-    """Encodes the chunks of a log in order.
+    """Encodes the chunks of a log in order, with the numbers of their messages.
 
     Args:
         tick: layout of the ticks.

@@ -80,7 +80,7 @@ class Samples:
         return self.values[:, columns] if columns else None
 
     def at(self, index: int) -> str:
-        """Return "WHERE: row R (t = T s)" for a message.
+        """Return "WHERE: row R (t = T s)", the place of a sample in error messages.
 
         Args:
             index: index of the sample, from 0.
@@ -88,7 +88,7 @@ class Samples:
         return f"{self.where}: row {self.rows[index]} (t = {self.time[index]:.6g} s)"
 
     def taken(self, which: NDArray) -> "Samples":
-        """Return some of the samples.
+        """Return some of the samples, with all their columns.
 
         Args:
             which: True for each chosen sample (K,), or their indices.
@@ -96,7 +96,7 @@ class Samples:
         return replace(self, rows=self.rows[which], time=self.time[which], values=self.values[which])
 
     def cut(self, after: NDArray) -> "list[Samples]":
-        """Return the pieces between cuts.
+        """Return the pieces of the samples between cuts, in order.
 
         Args:
             after: indices of the samples after which to cut.
@@ -106,7 +106,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Repair:
-    """A fault of samples and its repair.
+    """A fault of samples and its repair, an entry of `REPAIRS`.
 
     Attributes:
         help: what the repair does.

@@ -377,7 +377,7 @@ _PACKED = 15
 
 @dataclass(frozen=True)
 class MatlabFile:
-    """The numbers of a MATLAB file.
+    """The numbers of a MATLAB file, in which a mapping finds its columns.
 
     Attributes:
         path: the file.
@@ -412,7 +412,7 @@ class MatlabFile:
         return None if stored_name is None else self.values[stored_name]
 
     def column(self, name: str) -> Array:
-        """Return one row or column of real numbers as (K,).
+        """Return one row or column of real numbers as (K,), a column of a mapping.
 
         Args:
             name: see `find`.

@@ -84,7 +84,7 @@ class _Angles(Settings, table="angles"):
 
     @property
     def by_arm(self) -> dict[str, tuple[float, ...]]:
-        """Values for all arms, or for each, by key."""
+        """Values for all arms, or one for each, by their key in the file."""
         return {"counts_per_turn": self.counts_per_turn or (1,), "sign": self.sign, "zero": self.zero}
 
 

@@ -131,7 +131,7 @@ class Recording(Timed):
 
     @checked
     def segment(self, index: Index) -> "Recording":
-        """Return one segment, in its original times, as a recording.
+        """Return one segment as a recording, in its original times.
 
         Args:
             index: index of the segment, from 0.
@@ -440,7 +440,7 @@ _SAMPLE_SECONDS, _SAMPLE_BYTES = 17e-6, 150.0
 
 
 def swings_cost(swings: int, seconds: float) -> Cost:
-    """Return the expected cost of simulating swings and writing their log, which a user confirms if it is large.
+    """Return the expected cost of simulating swings and writing their log, by which too much work is refused.
 
     Args:
         swings: number of swings.

@@ -119,7 +119,7 @@ class BenchRecord:
         self.fault_at, self.ended = ticks, ""
 
     def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
-        """Store the reading of tick k.
+        """Store the reading of tick k, also if it was not sent.
 
         Args:
             k: tick.
@@ -182,7 +182,7 @@ class RecordedRig:
         return self._record.fault if self._tick >= self._record.fault_at else None
 
     def read(self) -> Reading:
-        """Return the reading of the next tick.
+        """Return the recorded reading of the next tick.
 
         Raises:
             ArithmeticError: the loop no longer responded at that time.
@@ -292,7 +292,7 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self._socket.close()
 
     def serve(self, *, runs: int | None = None) -> None:
-        """Serve runs in sequence.
+        """Serve runs in sequence, and answer greetings between them.
 
         Args:
             runs: number of runs; 0 to continue until interrupted (default: that of the settings).
@@ -397,7 +397,7 @@ class _BenchRun:
 
     @property
     def sentence(self) -> str:
-        """Summary of ticks and packets."""
+        """Summary of ticks and packets for the report of the run's end."""
         return (
             f"{self._tick + 1} ticks; a command was repeated {self._held} times; {self._ignored} packets were rejected"
         )
@@ -659,7 +659,7 @@ class BenchRecipe(Brief):
 
 
 def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe: Connection) -> None:
-    """Serve one run in a process of its own, and send address and record to its parent through the pipe.
+    """Serve one run in its own process, and send address and record to its parent through the pipe.
 
     `key` is the key that the loop must have.
     """

@@ -270,7 +270,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         return Reading(k * period, self._positions, None if finite.all() else finite, packet.switch, late, age)
 
     def command(self, acceleration: float) -> None:
-        """Accelerate the cart.
+        """Send a command that accelerates the cart.
 
         Args:
             acceleration: demanded acceleration, m/s², positive to the right.
@@ -415,7 +415,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
             yield content
 
     def _send(self, message: Message) -> None:
-        """Send a message; it is lost if the system refuses it."""
+        """Send a message to the bench; it is lost if the system refuses it."""
         try:
             self._channel.send(self._talk.pack(message))
         except OSError as error:
@@ -424,7 +424,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
 
 
 class UdpRig(PacketRig):
-    """A bench over UDP.
+    """A bench over UDP as a `Rig` and context manager.
 
     Args:
         address: host and port of the bench.

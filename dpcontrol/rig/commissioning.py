@@ -79,7 +79,7 @@ _DETUNING, _FASTER, _LEAST_DAMPING = 0.05, 5.0, 0.01
 
 
 class Grade(StrEnum):
-    """Grade of a finding."""
+    """Grade of a finding, by which commissioning passes or fails."""
 
     OK = "ok"
     WRONG = "wrong"
@@ -112,7 +112,7 @@ class Finding:
 
     @property
     def verdict(self) -> Grade:
-        """Whether the step requires a change before a run."""
+        """The grade: whether the step requires a change before a run."""
         return _GRADES.get(self.cause, Grade.WRONG)
 
     @property
@@ -153,7 +153,7 @@ class Commissioning(Documented):
 
     @property
     def blocking(self) -> tuple[Finding, ...]:
-        """Faults of the rig itself, which invalidate the measurements."""
+        """Faults of the rig itself, which invalidate the measurements, so that no value is proposed."""
         # The scene's [run] can fix what differs from it.
         return tuple(f for f in self.wrong if f.cause is not Cause.DIFFERS)
 

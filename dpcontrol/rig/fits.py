@@ -362,7 +362,7 @@ def _errors(jacobian: NDArray[Any], residual: Array) -> Array:
 
 
 class Form(StrEnum):
-    """Relation between angles and encoders."""
+    """Relation between the arms' angles and their encoders' readings, as a rig may be wired or programmed."""
 
     SUMMED = "joint encoders, summed"
     RELATIVE = "joint encoders, not summed"

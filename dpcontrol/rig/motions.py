@@ -57,7 +57,7 @@ _ACCELERATE, _STOPPING = 0.3, 1.0
 
 
 class Halted(Exception):
-    """Further measurement is not possible, for a cause with its figures."""
+    """Raised if further measurement is not possible, with a cause and its figures."""
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ class Kind(IntEnum):
 
 
 class Condition(IntEnum):
-    """Condition of the bench."""
+    """Condition of the bench, which each reading reports."""
 
     WELL = 0
     FAULT = 1
@@ -84,7 +84,7 @@ class Condition(IntEnum):
 
 
 class Role(Enum):
-    """One of the two ends."""
+    """One of the two ends, loop or bench; a seal depends on it."""
 
     LOOP = b"loop"
     BENCH = b"bench"
@@ -106,7 +106,7 @@ class Welcome(NamedTuple):
 
 
 class ReadingPacket(NamedTuple):
-    """Readings of the sensors at `tick`."""
+    """Readings of the sensors at `tick`, and the bench's condition."""
 
     tick: int
     positions: tuple[float, ...]
@@ -177,7 +177,7 @@ def _body(message: Message) -> tuple[Kind, int, bytes]:
 
 
 def packed(message: Message, role: Role, *, session: int, sequence: int, key: bytes = b"") -> bytes:
-    """Return the encoded packet, sealed if there is a key.
+    """Return the packet of a message as bytes, sealed if there is a key.
 
     Args:
         message: packet to encode.
@@ -276,7 +276,7 @@ class Talk:
         self._sequence = self._newest = 0
 
     def pack(self, message: Message) -> bytes:
-        """Return the encoded packet of a message.
+        """Return the packet of a message as bytes, with the next sequence number.
 
         Args:
             message: packet to send.
@@ -285,7 +285,7 @@ class Talk:
         return packed(message, self._role, session=self._session, sequence=self._sequence, key=self._key)
 
     def unpack(self, data: bytes) -> ReceivedPacket:
-        """Return a received packet.
+        """Return a received packet after all checks.
 
         Args:
             data: the received bytes.

@@ -80,7 +80,7 @@ class SerialLine:
         self._waiting = b""
 
     def send(self, data: bytes) -> None:
-        """Send a packet.
+        """Send a packet in its frame.
 
         Args:
             data: encoded packet.
@@ -109,7 +109,7 @@ class SerialLine:
         raise BlockingIOError
 
     def fileno(self) -> int:
-        """Return the number by which the system waits for bytes."""
+        """Return the file descriptor, by which `select` waits for bytes."""
         return self._port.fileno()
 
     def close(self) -> None:
@@ -118,7 +118,7 @@ class SerialLine:
 
 
 class SerialRig(PacketRig):
-    """A bench over a serial line.
+    """A bench over a serial line as a `Rig` and context manager.
 
     Args:
         address: serial://PATH?baud=RATE.
