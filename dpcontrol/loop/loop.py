@@ -298,9 +298,9 @@ class ControlLoop:
                 self._event(time_s, "info", "re-synchronise", "" if moved else Cause.CLOCKLESS, words=moved)
             elif outcome is Outcome.HOLD:
                 assert self.fallback is not None
-                orbit_name = ticker.hold(k, self.fallback)
-                self._event(time_s, "warn", "fallback", words=orbit_name)
-                self.end = ended(cause, {**figures, "held": orbit_name})
+                description = ticker.hold(k, self.fallback)
+                self._event(time_s, "warn", "fallback", words=description)
+                self.end = ended(cause, {**figures, "held": description})
             else:
                 self.end, self._stopped = ended(cause, figures), True
                 # From here on the reference is constant.
