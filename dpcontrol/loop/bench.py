@@ -698,6 +698,10 @@ def draw_bench(
 ) -> BenchDraw:
     """Draw plant, initial errors, sensor errors, noise and blows of one run from its seed.
 
+    Each use of random numbers has its own generator, by the names of `_STREAMS`. Numbers for each tick become streams
+    of the draw, if the settings need them; `normal` stores Gaussian ones. `within` draws one uniform number for each
+    arm.
+
     Args:
         arms: arms of the model, which are the centre of the draw.
         settings: settings of the bench.
@@ -716,23 +720,19 @@ def draw_bench(
     )
 
     def generator(name: str) -> np.random.Generator:
-        """Return the generator of one of `_STREAMS`, whose numbers do not depend on the other streams."""
         return np.random.default_rng(seeds[name])
 
     # Unused values are not drawn: making a generator takes longer than most draws.
     streams: dict[str, Stream] = {}
 
     def stream(name: str, make: Callable[[np.random.Generator, int], NDArray[Any]], wanted: Any) -> None:
-        """Store the stream `name` if the settings need it: `wanted` is then not 0."""
         if wanted:
             streams[name] = Stream(seeds[name], make)
 
     def normal(name: str, sigmas: Array) -> None:
-        """Store a stream of Gaussian numbers (count, m) with standard deviations `sigmas` (m,), unless all are 0."""
         stream(name, lambda source, count: source.standard_normal((count, len(sigmas))) * sigmas, sigmas.any())
 
     def within(name: str, most: float) -> Array:
-        """Return uniform numbers (n,) within ±`most`, one for each arm."""
         return generator(name).uniform(-most, most, n) if most else np.zeros(n)
 
     lost_counts, noisy = sensors.missed_counts * period, drive.command_noise
