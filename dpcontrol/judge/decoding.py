@@ -451,7 +451,7 @@ class Shortfall(Concluded):
 def shortfall(plan: Reference) -> Shortfall | None:
     """Return the reason why even an exact run of the reference would fail, or None if it succeeds.
 
-    The planner refuses such a reference.
+    A plan with such a reference counts as not converged.
 
     Args:
         plan: reference of the plan.
