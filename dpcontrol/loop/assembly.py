@@ -73,7 +73,7 @@ class Assembly:
     """Assembly whose fallback and recovery this one uses."""
 
     def under(self, settings: LoopSettings) -> "Assembly":
-        """Return an assembly with this controller under other settings.
+        """Return an assembly that keeps this controller under other settings, so that many runs share one controller.
 
         It uses the same fallback and recovery if its supervisor and its drive's delay are the same.
 
@@ -112,7 +112,7 @@ class Assembly:
 
     @cached_property
     def controller(self) -> Controller:
-        """The given law, or that of the settings for the reference.
+        """The given law, or that of the settings for the reference; all runs of the assembly follow it.
 
         Raises:
             InputError: the reference did not converge or belongs to other arms.
@@ -126,7 +126,7 @@ class Assembly:
 
     @cached_property
     def fallback(self) -> NearestKeeper | None:
-        """The orbits to hold if tracking is lost; None without a fallback.
+        """The laws of which the nearest takes over if tracking is lost; None if the supervisor then stops the cart.
 
         Raises:
             GoalMissed: an orbit was not found or cannot be held.

@@ -565,6 +565,7 @@ class StreamReader:
     """
 
     def __init__(self, stream: Stream, rows: Callable[[NDArray[Any]], Any], *, block: int) -> None:
+        """Skip the numbers before the stream's first tick; they must be drawn, to advance the generator."""
         self._random, self._make, self._rows = np.random.default_rng(stream.seed), stream.make, rows
         self._block, self._first, self._end, skipped = block, 0, 0, stream.begin
         self._values: Any = ()

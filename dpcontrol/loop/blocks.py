@@ -33,6 +33,11 @@ class Blocks:
     """
 
     def __init__(self, ticker: Ticker, rig: SimulatedRig, noise: StreamReader | None) -> None:
+        """Allocate the rows of a block, and bind the machine code of each tick to its rows.
+
+        A row of the controller's tick holds reading, table, constants and memory as inputs, and memory and report as
+        outputs.
+        """
         kind, program, tick = rig.kind, ticker.program, ticker.program.equations
         assert kind is not None
         self._ticker, self._rig, self._noise, self._kind = ticker, rig, noise, kind
@@ -120,9 +125,10 @@ class Blocks:
             reading.rate_error[:count] = [self._noise[k + i] for i in range(count)]
 
     def _sound(self, count: int) -> int:
-        """Return the number of leading ticks whose results are valid.
+        """Return the number of leading ticks of a block whose results are valid.
 
-        They end before a state that machine code cannot continue from, or with the first outcome or news.
+        They end before a state from which machine code cannot continue, or with the first outcome or news, on which
+        Python must act.
         """
         report = self._told
         valid = self._rig.plain_states(self._state[1 : count + 1, :, 0]) & np.isfinite(report.command[:count, 0])

@@ -94,7 +94,8 @@ def filter_of(settings: EstimatorSettings | OwnEstimator) -> Filter:
 def filter_defaults(kind: str, law: "ControllerSettings", keep: str = "none") -> Mapping[str, Any]:
     """Return the estimator's settings that suit a law and differ from the defaults of its kind.
 
-    An itinerary that does not give these settings gets them.
+    An itinerary that does not give these settings gets them, for example the estimates of parameters that an adaptive
+    law uses.
 
     Args:
         kind: kind of the estimator, one of `ESTIMATORS`.
@@ -173,7 +174,14 @@ def keeping_controller(
 def _keeper(
     orbit: "SustainedOrbit", model: SampledModel, *, keep: str, flies: TvlqrSettings
 ) -> OgyController | OrbitController:
-    """Return the controller that keeps a sustained orbit by the law `keep` of `KEEPERS`, for one of its periods."""
+    """Return the controller that keeps a sustained orbit at a stop, or as a fallback.
+
+    Args:
+        orbit: orbit to keep.
+        model: model of arms and drive from tick to tick.
+        keep: law that keeps it, one of `KEEPERS` except "none".
+        flies: settings of the law between the stops, whose weights "tvlqr" uses here too.
+    """
     if keep == "tvlqr":
         return orbit_controller(orbit, model, replace(flies, schedule="phase"), seconds=orbit.period)
     settings = OgySettings() if keep == "ogy" else ClassicOgySettings()
@@ -186,7 +194,10 @@ def _orbit_name(saddle: str, energy: float) -> str:
 
 
 def _part(reference: Reference, rows: tuple[int, int]) -> Reference:
-    """Return the intervals `rows` (first, end) of a reference's mesh as a reference that begins at time 0."""
+    """Return a part of a reference as a reference that begins at time 0, for a law that follows this part alone.
+
+    `rows` are the first interval of its mesh, and that after the last one.
+    """
     first, last = rows
     mesh = reference.mesh[first : last + 1] - reference.mesh[first]
     return replace(reference, mesh=mesh, states=reference.states[first:last], inputs=reference.inputs[first:last])
@@ -257,7 +268,17 @@ def nearest_keeper(
 
 
 def _sought_orbit(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
-    """Return the sustained orbit about a saddle at an energy, for an orbit that the plan of the reference lacks."""
+    """Return the sustained orbit about a saddle at an energy, as a fallback for an orbit that the plan lacks.
+
+    Args:
+        saddle: name of the saddle.
+        energy: energy of the orbit, J.
+        reference: reference of the run, whose limits the orbit must keep.
+        parameters: parameters of the model's arms.
+
+    Raises:
+        GoalMissed: the cart cannot sustain the orbit.
+    """
     from dpcontrol.references.sustained import sustained_orbit
 
     lyapunov = lyapunov_orbit(pendulum_system(saddle, parameters), saddle, energy=energy)
@@ -315,7 +336,7 @@ class LawInputs:
 
 
 def _own(made: LawInputs) -> Controller:
-    """Return a user's Python law on the reference, with the reference's feedforward."""
+    """Return a user's Python law, which receives the reference's states and feedforward at each tick."""
     user_object = made.settings.own
     reference_fields = fields_of(
         ReferenceController, tracking_controller(made.reference, made.model, FeedforwardSettings())
@@ -324,7 +345,7 @@ def _own(made: LawInputs) -> Controller:
 
 
 def _ogy(made: LawInputs) -> Controller:
-    """Return the law that keeps the itinerary's orbit by pulses (OGY control)."""
+    """Return the law that keeps the itinerary's orbit by pulses once per section of its period (OGY control)."""
     if made.stay is None:
         raise InputError(
             f'controller: kind = "{made.settings.kind}" keeps an orbit; give the itinerary orbit = "down-up"'

@@ -98,7 +98,10 @@ class Lockstep:
             self._end(departing, k + 1, self._ends[0])
 
     def _check(self, k: int, commands: Array) -> None:
-        """End runs whose symbolic law returned an invalid command at tick k: `commands` (S,), m/s²."""
+        """End runs whose symbolic law returned an invalid command at tick k.
+
+        `commands` (S,) are the law's outputs, m/s²; a user wrote the law, so they may be infinite or absurd.
+        """
         for lane in np.flatnonzero(~(np.abs(commands) <= LARGEST)).tolist():
             message = f"{wrong_command(self._ticker.kind, commands.item(lane))}, at t = {k * self._period:.3f} s"
             self._end([lane], k + 1, ended(Cause.OBJECT_FAILED, words=message))

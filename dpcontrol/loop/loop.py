@@ -263,7 +263,8 @@ class ControlLoop:
     def _next_block(self, k: int) -> tuple[Ticks, Callable[..., None]]:
         """Allocate rows for the block of ticks that begins with tick k, and return them with their method `take`.
 
-        The full block before is stored for the result, unless only the last block is kept.
+        A run of any length is stored block by block. The full block before is stored for the result, unless `keep` is
+        False.
         """
         full_block = self._rows
         if self._keep:
@@ -312,7 +313,8 @@ class ControlLoop:
     def _recover(self, k: int, cause: Cause, figures: Mapping[str, Any], recovery: FallRecovery, rig: Rig) -> None:
         """Begin the recovery from a fall at tick k, or end the run if no attempt is left.
 
-        `cause` and `figures` describe the fall for the log.
+        A fall is the loss of the itinerary, for example if an arm leaves the reference. `cause` and `figures` describe
+        it for the log. After the last attempt, the cart is stopped.
         """
         self._fall = None
         choices = recovery.fell(k, cause, figures, self.ticker, self._period)
@@ -357,7 +359,10 @@ class ControlLoop:
         self.sink.event(Event(time_s, level, name, cause, figures or {}, words))
 
     def _flush(self, until: int) -> None:
-        """Send the rows of all ticks before tick `until` to the sink, except those that it has received."""
+        """Send the rows of all ticks before tick `until` to the sink, except those that it has received.
+
+        Afterwards a killed run cannot lose them.
+        """
         first = self._flushed
         if until > first:
             # Set first, so that an interrupt cannot write rows twice.
@@ -494,7 +499,7 @@ class LoopSettings(Settings, table="run"):
         return KnownMechanics(mechanics.of_each("known_play", arms), self.known_belt, mechanics.belt_damping, encoders)
 
     def counts(self, arms: int) -> list[int]:
-        """Return the counts per turn of the encoders that measure and round, for comparisons with their resolution.
+        """Return the counts per turn of the encoders that measure and round; the coarsest limits the estimate.
 
         Args:
             arms: number of arms.
@@ -559,7 +564,7 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def keeps_by_phase(self) -> bool:
-        """True if laws with internal timing keep the stops, so gains cannot be tabulated by time."""
+        """True if laws with internal timing keep the stops; without gains by time, no fall can be recovered."""
         return keeps_by_phase(self.keep, self.estimator)
 
     @property

@@ -157,10 +157,10 @@ class DirectPilot:
         return self._answer
 
     def _predicted(self, request: Request) -> Array:
-        """Return the states (lead + 1, N) on which pending commands act, and in which the flight begins.
+        """Return the states (lead + 1, N) on which pending commands act, of which the last is the start of the flight.
 
         The state of the request is advanced under the braking law, or under the law of the flight under way. `share`
-        and `push` describe a drive whose acceleration decays exponentially to the command.
+        and `push` describe a drive whose acceleration approaches the command exponentially.
         """
         model, max_acceleration, push, states = (
             self._model,
@@ -184,6 +184,8 @@ class DirectPilot:
 
     def _lands(self, course: Course, state: Array, elapsed: int, goal: FlightGoal) -> bool:
         """Return True if the law of the flight under way leads from a predicted state to the goal.
+
+        Its remaining steps are simulated with feedback.
 
         Args:
             course: flight under way.
@@ -245,7 +247,10 @@ class _DistantPilot:
             self._pipe.send((self._number, request))
 
     def answer(self) -> Answer | None:
-        """Return the answer to the last request, or None if it is not ready."""
+        """Return the answer to the last request, or None if it is not ready; answers to earlier requests are dropped.
+
+        In real time the loop must not wait. A loop that runs faster waits up to `_PATIENCE` s.
+        """
         # A loop that runs faster than real time waits.
         timeout = _PATIENCE if time.monotonic() - self._asked < THINKING / 2 else 0.0
         with _ended_told():

@@ -158,13 +158,19 @@ class ScheduledController(Brief):
 
 @dataclass(frozen=True, eq=False)
 class RecoveryPlan(Brief):
-    """Data shared by all recoveries of an itinerary."""
+    """Data shared by all recoveries of an itinerary, in any number of runs of one assembly.
+
+    A stop is an orbit or equilibrium at which the itinerary stays; a symbol is the motion between two stops.
+    """
 
     model: SampledModel
+    """Model of arms and drive from tick to tick."""
     braking: ScheduledController
+    """Law that brakes the cart while a flight is planned."""
     briefing: Briefing
     """Limits, and the goals of the stops, in order, and at last of rest."""
     pilot: Pilot
+    """Search for flights."""
     names: tuple[str, ...]
     """Names of the stops."""
     symbols: tuple[PlanSymbol, ...]
@@ -178,6 +184,7 @@ class RecoveryPlan(Brief):
     rest: GainSchedule
     """Gains that hold the arms at rest."""
     reach: Reach
+    """Places of the reference, by which an earlier one is found that is near."""
     restarts: bool = False
     """True if the itinerary restarts after a fall."""
     attempts: int = 10
@@ -244,6 +251,10 @@ class FallRecovery:
     """
 
     def __init__(self, plan: RecoveryPlan, main: Controller, *, until: int = 0) -> None:
+        """Begin on the itinerary at its first stop, with no attempts and no falls.
+
+        Ticks count from the start of the run, and `_at` is the time on the plan's reference, s, at the tick `_joins`.
+        """
         self._plan, self._main, self.until = plan, main, until
         self.motion = Motion.ITINERARY
         self.falls = 0
@@ -295,7 +306,7 @@ class FallRecovery:
         return _event("info", RETURN, Cause.ANYWHERE)
 
     def _progress(self) -> Mapping[str, Any]:
-        """Return place, attempt and the next symbol for an event; at the last stop there is no next symbol."""
+        """Return the figures of an event that joins the itinerary: time on the plan, attempt, and the next symbol."""
         return {"at": self._at, "attempt": self._attempts.get(self._stop, 0) + 1, **self._next()}
 
     def _next(self) -> Mapping[str, Any]:
@@ -384,7 +395,7 @@ class FallRecovery:
     def _brake(self, k: int, ticker: Ticker, *, still: bool = False) -> None:
         """Brake the cart from the tick after k on, until the estimate is reliable and a flight is planned.
 
-        With `still`, the cart comes to rest at its place, because the law cannot use a wrong estimate.
+        With `still`, the cart stops where it is, since the braking law cannot use a wrong estimate.
         """
         self.motion, self._began, self._lost_at = Motion.BRAKE, k, k
         self._reliable, self._answers = not still, _NEVER
@@ -439,13 +450,19 @@ class FallRecovery:
     def _ask(self, k: int, report: Report, ticker: Ticker, *, course: Course | None = None) -> None:
         """Request a flight from the pilot, whose answer is read after the time for a search.
 
-        The flight begins in the state that braking leads to by then, or replaces the flight `course` under way.
+        Args:
+            k: the completed tick.
+            report: report of the tick, with the state at which the next command acts.
+            ticker: ticker of the run.
+            course: flight under way, which the answer replaces if it misses its goal; None for a flight from the
+                braking cart.
         """
         program, model = ticker.program, self._plan.model
         ticks = max(round(self._thinking / model.period), 1)
         self._answers = k + ticks
         accelerations, drive_acceleration = program.pending_accelerations()
         acceleration = accelerations[-1].item(0) if accelerations else report.acting.item(0)
+        # The next command is decided already, so the first free one acts a tick later.
         state = model.step(report.ahead[:, 0], acceleration)
         if course is None:
             ticker.correct_velocity(state[-1])
@@ -464,7 +481,7 @@ class FallRecovery:
         )
 
     def _fly(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
-        """Follow the pilot's flight from tick k + 1 and return its event, or request another one."""
+        """Follow the pilot's flight from tick k + 1 and return its event, or request another one if there is none."""
         answer = self._plan.pilot.answer()
         if answer is None or answer.course is None:
             # A late answer is for a state that has passed; a slow processor gets more time.
@@ -478,16 +495,17 @@ class FallRecovery:
         return [_event("info", FLIGHT, Cause.FLOWN, {**self._progress(), **self._stop_figures(), **duration})]
 
     def _follow(self, k: int, course: Course, ticker: Ticker) -> None:
-        """Let the ticker follow the flight `course` from tick k + 1 on."""
+        """Let the ticker follow the flight `course` from tick k + 1 on, with the supervisor's usual bounds."""
         law = padded(course.law.schedule(ticker.lead), self._plan.gains)
         ticker.follow(k + 1, ScheduledController(law, "flight"), lift=np.zeros(self._arms), bounds=self._bounds)
         self.motion, self._course = Motion.FLIGHT, course
         self._joins, self._answers = k + 1 + course.law.ticks, _NEVER
 
     def _check(self, k: int, report: Report, ticker: Ticker) -> None:
-        """Replace the present flight if it is going to miss its place, unless it is nearly over.
+        """Replace the flight under way if it is going to miss its place at the goal, unless it is nearly over.
 
-        The pilot checks that during the flight, and answers with a new one only if it is needed.
+        The pilot simulates the rest of the flight from the present state, and answers with a new flight only if it is
+        needed.
         """
         if k == self._answers:
             self._answers = _NEVER
@@ -501,7 +519,10 @@ class FallRecovery:
         return {"stop": self._goal + 1, "stop_name": self._plan.names[self._goal]} if self._goal >= 0 else {}
 
     def _arrive_at_goal(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
-        """End a flight at tick k: resume the itinerary, wait at rest, or brake for another flight after a miss."""
+        """End a flight at tick k, and return events to log.
+
+        The run resumes the itinerary, waits at rest for a flight to a stop, or brakes for another flight after a miss.
+        """
         goal, place, n = self._plan.briefing.goals[self._goal], self._course.place, self._arms
         difference = report.state[:, 0] - goal.target.states[place]
         turns = whole_turns(difference[:n])
@@ -526,9 +547,11 @@ class FallRecovery:
         return [self._resumption()]
 
     def _catch(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Event]:
-        """Resume from an earlier place of the reference if the run has left the present place for that one.
+        """Resume from an earlier place of the reference if the run is much nearer to it than to the present place.
 
-        This avoids a fall. The state must be far from the present place, and must have been near since the last catch.
+        This avoids a fall, for example if an arm has not turned and is still near its orbit. The cost-to-go measures
+        the distance. The state must be far from the present place, and must have been near since the last catch. Events
+        to log are returned.
         """
         plan, reach, n = self._plan, self._plan.reach, self._arms
         state = report.state[:, 0]

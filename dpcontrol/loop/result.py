@@ -477,6 +477,7 @@ class BatchRun(Ended):
         ticks = result.ticks
         assert ticks.truth is not None
         angles = ticks.references[:, : ticks.measured.shape[1] - 1]
+        # Columns of `control`: 2 the feedback, 3 the applied acceleration, m/s², 5 the NIS.
         return cls(
             result.end, ticks.times, ticks.truth, angles, ticks.control[:, 3],
             inside_95(ticks.control[:, 5], sensors_of(ticks.measured)), rms(ticks.control[:, 2]), result.stretches,
@@ -570,7 +571,7 @@ class LogSink(LoopSink):
         self._writer = writer
 
     def ticks(self, rows: Ticks) -> None:
-        """Write the next ticks.
+        """Write the next ticks to the log, with the extras if the log has room for them.
 
         Args:
             rows: next ticks.
@@ -610,7 +611,7 @@ class SinkBeside(LoopSink):
             self._look()
 
     def ticks(self, rows: Ticks) -> None:
-        """Write the next ticks.
+        """Pass the next ticks to the sink's thread, which writes them later.
 
         Args:
             rows: next ticks.
@@ -619,7 +620,7 @@ class SinkBeside(LoopSink):
         self._under_way.append(self._thread.submit(self._sink.ticks, rows))
 
     def event(self, event: Event) -> None:
-        """Write one event.
+        """Pass one event to the sink's thread, which writes it later.
 
         Args:
             event: the event.

@@ -359,7 +359,10 @@ class SimulatedPlant:
             self._hold(side)
 
     def _hold(self, side: float) -> None:
-        """Hold cart and motor at the hard stop of one side, 1 or -1; the arms keep their momenta."""
+        """Hold cart and motor at the hard stop of one side, 1 or -1; the arms keep their momenta.
+
+        A knock that cancels the cart's velocity gives the rates of the arms after the impact.
+        """
         zeros = np.zeros(self.plants[0].arms.count)
         self.strike(Blow(zeros, zeros, -self.values[self.cart + 1]))
         state = self.state.copy()
@@ -430,7 +433,7 @@ class SimulatedBench:
         draw, n = draws[0], draws[0].plant.arms.count
 
         def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:
-            """Return values drawn for each tick, which a single run reads tick by tick."""
+            """Return a stream's numbers by tick, which a single run reads one by one; None for an unused stream."""
             if lanes is ONE:
                 return draw.reader(name, rows)
             return _of_runs([d.drawn(name) for d in draws], lanes) if name in draw.streams else None
@@ -609,7 +612,8 @@ class SimulatedRig(SimulatedBench):
     def kind(self) -> PeriodKind | None:
         """Expression of a period, for blocks of ticks in machine code; None for a bench that needs Python.
 
-        Python computes periods in parts, faults during the run, modes of components, and users' plants.
+        Python computes delays of fractional periods, readings with ages, faults during the run, modes of components,
+        and users' plants.
         """
         plant, settings = self._plant, self._encoders.settings
         if self._fraction or self._ages is not None or self._missed is not None:

@@ -151,7 +151,10 @@ class Ticker:
         self.program.prepare(self._parts)
 
     def _begun(self) -> Any:
-        """Return a new session of a law with an internal clock, for one run or for all runs in lockstep."""
+        """Return a new session of a law with an internal clock: an object that computes its commands in one run.
+
+        Runs in lockstep share one session.
+        """
         law: Any = self.controller
         if not self._many:
             return law.begin_after(self.lead) if hasattr(law, "begin_after") else law.begin()
@@ -211,7 +214,7 @@ class Ticker:
         return reading._replace(positions=np.where(self._measured, reading.positions, np.nan), present=present)
 
     def rows_of(self, k: int, count: int, out: Array) -> None:
-        """Write the table's inputs of several ticks into the rows that `Blocks` computes at once.
+        """Write the gains and references of several ticks into the rows that `Blocks` computes at once.
 
         Args:
             k: the first tick.
@@ -384,14 +387,14 @@ class Ticker:
         program.bound(mode=float(schedule.mode))
 
     def lose(self) -> None:
-        """Restart the filter at the next reading with a wide covariance, because its estimate is wrong."""
+        """Restart the filter at the next reading with a wide covariance, because its estimate has become wrong."""
         self.program.memory.restart[:], self.program.memory.nis[:] = 1.0, 0.0
         if self.estimator is not None:
             measured = self.program.reading.measured[:, 0].copy()
             self._estimate = self.estimator.restarted(self._estimate, measured)
 
     def resynchronise(self, k: int) -> str:
-        """Move the law's clock to the nearest phase.
+        """Move the law's clock to the reference's phase nearest to the state, because the run is early or late.
 
         Args:
             k: tick.

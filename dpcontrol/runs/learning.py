@@ -327,6 +327,7 @@ def learn(logs: Sequence[RunLog], plan: Plan, *, progress: Progress = no_progres
     plan = replanned(plan, model, errors, progress=part_of(progress, 0.0, 0.8))
     loop = replace(plan.itinerary.loop, plant=None, mismatch=0.0, friction=1.0, model_uncertainty=1.0)
     simulated_run = Assembly(plan.reference, arms, loop, model.uncertainty, stays=stays(plan.reference)).simulate()
+    # Column 2 of `control` is the feedback, m/s².
     return Learnt(
         ratio_names(arms),
         base_ratios(arms),

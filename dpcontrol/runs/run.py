@@ -856,6 +856,7 @@ def _exported(
     noiseless_settings = replace(loop, sensors=replace(loop.sensors, rate_noise=0.0))
     simulated_run = replace(assembly, settings=noiseless_settings, law=controller).simulate(progress=progress)
     names = [f"measured.{name}" for name in joint_names(itinerary.model.arms.count, has_cart=True)]
+    # Column 0 of `control` is the command, m/s².
     rows = np.column_stack([simulated_run.ticks.measured, simulated_run.ticks.control[:, 0]]).tolist()
     readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
     bare_source = controller_source(
