@@ -326,7 +326,8 @@ def find_border(
 ) -> Border:
     """Find the border between a value that works and a value that fails by bisection of their ratio.
 
-    Both values are positive, in either order.
+    Both values are positive, in either order. If the first fails or the second works, one side of the border is
+    missing.
 
     Args:
         probe: function of a value, which tries it.

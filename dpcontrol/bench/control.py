@@ -230,6 +230,7 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
     position_indices, ticks = ticker.program.model.position_indices, cycle(range(ticker.count))
 
     def step() -> None:
+        """Compute one tick for a reading on the reference."""
         k = next(ticks)
         if not k:
             ticker.begin()

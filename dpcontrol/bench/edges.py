@@ -246,7 +246,9 @@ def ogy_chart(quick: bool, progress: Progress) -> ChartPage:
 
 
 def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, seeds: int) -> Attempt:
-    """Run a law of pulses and return success if at least half of its runs hold the orbit.
+    """Run a law of pulses on benches with encoders of some resolution; at least half of the runs must hold the orbit.
+
+    The zeros of the encoders lie anywhere within a count.
 
     Args:
         orbit: sustained orbit.

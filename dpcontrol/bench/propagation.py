@@ -54,6 +54,7 @@ class Stepper:
     """
 
     def __init__(self, function: ca.Function, parameters: Array, *, lanes: int = 0) -> None:
+        """Compile the step, and allocate its inputs, whose parameters do not change."""
         self._step = Compiled(function)
         shape = (lanes,) if lanes else ()
         self._given, self._out = (np.zeros((size, *shape)) for size in (self._step.size_in, self._step.size_out))

@@ -58,12 +58,12 @@ class Group:
 
     @property
     def label(self) -> str:
-        """The names as one line, without those that the case repeats."""
+        """The group's values as one line, for tables and pictures."""
         return self._line()
 
     @property
     def family(self) -> str:
-        """The names except the kind of trouble, as one line."""
+        """The group's values except the kind of trouble, as one line, by which levels are joined over all kinds."""
         return self._line(without=_KIND)
 
     def _line(self, *, without: str = "") -> str:
@@ -249,7 +249,7 @@ def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list
 
 
 def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
-    """Return the column `name` of a table as numbers (K,), nan for missing values, or None if it has no numbers."""
+    """Return the column `name` of a table as numbers (K,), or None if it has no numbers; nan for missing values."""
     values = np.array(table.get(name, []), dtype=float)
     return values if np.isfinite(values).any() else None
 
@@ -283,7 +283,9 @@ def _levels(values: NDArray[np.float64] | None, groups: list[tuple[Group, Rows]]
 def _symbols(
     table: dict[str, list[Any]], groups: list[tuple[Group, Rows]], done: Rows
 ) -> tuple[tuple[str, int, int], ...]:
-    """Return the number of failed runs of each group by the symbol at which they failed, from 1, or 0 if unknown.
+    """Return the number of failed runs of each group by the symbol at which they failed.
+
+    An entry has the group's label, the number of the symbol from 1, or 0 if it is unknown, and the number of runs.
 
     Args:
         table: columns of the table.

@@ -104,7 +104,8 @@ def shortest_period(content: PlanContent) -> float:
 def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
     """Decode the part of a plan that a run has completed: stops, crossings, wraps, and the tick at which it was lost.
 
-    The plan's times are related to the run's by the crossings; a stop counts if the run is on the plan until then.
+    A symbol is a motion between two stops, at which the plan stays on an orbit or equilibrium. Crossings of the
+    symbols' sections relate the plan's times to the run's. A stop counts if the run is on the plan until then.
 
     Args:
         time: times (K,), s; the first one is on the plan's clock.
@@ -146,7 +147,8 @@ def stays(plan: Reference) -> tuple[tuple[float, float], ...]:
 def _due(plan: Reference, arms: int) -> list[float]:
     """Return the time at which the reference crosses the section of each symbol, s; for a transfer, its middle.
 
-    The time stored with a symbol is that of the shadowed orbit, not of the reference.
+    A run should cross at these times. The time stored with a symbol is that of the shadowed orbit, not of the
+    reference.
 
     Args:
         plan: reference of the plan.
@@ -164,7 +166,9 @@ def _due(plan: Reference, arms: int) -> list[float]:
 def _crossings(
     time: Array, angles: Array, plan: Reference, planned: Sequence[float], *, carries: bool
 ) -> tuple[float | None, ...]:
-    """Return the crossing time of each symbol, s; without a crossing the due time, or None for a transfer.
+    """Return the time at which a motion crosses the section of each symbol, s, to relate its clock to the plan's.
+
+    Without a crossing, it is the due time. A transfer has no section, so its entry is None.
 
     Args:
         time: times (K,), s.
@@ -188,7 +192,7 @@ def _crossings(
 def crossing(
     time: Array, angles: Array, symbol: PlanSymbol, plan: Reference, *, between: tuple[float, float]
 ) -> float | None:
-    """Return the time at which a run crosses a symbol's section with the plan's direction and angles, or None, s.
+    """Return the time at which a motion crosses a symbol's section with the plan's direction and angles, or None, s.
 
     The time is interpolated between two ticks.
 
@@ -204,6 +208,7 @@ def crossing(
     earliest, due = between
     normal = np.asarray(section.normal[:n])
     ahead, behind = (plan.state(plan.mesh[0] + symbol.time + side)[:n] for side in (_BESIDE, -_BESIDE))
+    # Signed so that the plan crosses upwards.
     height = (angles @ normal - section.value) * (1.0 if (ahead - behind) @ normal > 0 else -1.0)
     rows = np.flatnonzero((height[:-1] <= 0) & (height[1:] > 0) & (time[:-1] >= earliest))
     rows = rows[np.abs(angles[rows] - section.angles).max(axis=1) <= FOLLOWS]
@@ -234,7 +239,10 @@ def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None,
 
 
 def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
-    """Return the first tick whose angles differ from the plan near its time by more than `FOLLOWS`, or None.
+    """Return the first tick at which the angles differ from the plan by more than `FOLLOWS` rad, or None.
+
+    From this tick on, no symbol counts. The nearest time of the plan within a window counts, because a run may be early
+    or late by less than a wrap, one period of a stop's orbit.
 
     Args:
         angles: angles (K, n), rad.
@@ -256,6 +264,7 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
     planned_rows = np.rint(clock / _GRID).astype(np.intp)
 
     def distances(far_rows: NDArray[np.intp], offset: int) -> Array:
+        """Return the largest angle difference of ticks from the plan, `offset` samples later than due, rad."""
         return np.asarray(
             np.abs(
                 angles[far_rows] - planned_angles[(planned_rows[far_rows] + offset).clip(0, len(planned_angles) - 1)]
@@ -275,9 +284,9 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
 def _spans(
     content: PlanContent, due: Sequence[float], duration: float
 ) -> tuple[list[tuple[float, float]], list[float]]:
-    """Return the plan's time range at each stop, s, and the time of arrival there, s.
+    """Return the plan's time range at each stop, s, and the time of arrival at each stop's orbit, s.
 
-    Ranges end at crossings and exclude transfers.
+    Ranges end at the crossings of sections and exclude transfers, which are planned motions without a section.
 
     Args:
         content: content of the plan.
@@ -297,7 +306,7 @@ def _spans(
 def _visit(angles: Array, inside: NDArray[np.intp], stop: PlanStop, content: PlanContent) -> Visit:
     """Return the stay at a stop from the first to the last tick whose nearest saddle is that of the stop.
 
-    Without such a tick, the stay is the tick closest to the saddle.
+    Views show these stays. Without such a tick, the stay is the tick closest to the saddle.
 
     Args:
         angles: angles (K, n) of the run, rad.
@@ -317,7 +326,7 @@ def _visit(angles: Array, inside: NDArray[np.intp], stop: PlanStop, content: Pla
 
 
 def _wraps(crossings: tuple[float | None, ...], due: Sequence[float], content: PlanContent) -> tuple[int | None, ...]:
-    """Return the wraps at each interior stop reached, from the time between its crossings.
+    """Return the wraps at each interior stop reached: periods on its orbit, from the time between its crossings.
 
     None stands for stops beside a transfer, and for stops that change the orbit.
 
@@ -338,14 +347,14 @@ def _wraps(crossings: tuple[float | None, ...], due: Sequence[float], content: P
 
 
 def _period(content: PlanContent, stop: int) -> float:
-    """Return the period of a stop's orbit, s; negative numbers count from the last stop."""
+    """Return the period of the orbit at a stop, s, which is the length of a wrap; stop -1 is the last one."""
     return content.orbit(content.stops[stop]).period
 
 
 def planned_wraps(content: PlanContent, stop: int) -> float | None:
-    """Return the unrounded number of wraps at an interior stop that results from the plan's times.
+    """Return the unrounded number of wraps, periods on the orbit of an interior stop, that the plan's times give.
 
-    Times and phases of both connections give the time on the orbit.
+    Times and phases of the connections before and after the stop give the time on its orbit.
 
     Args:
         content: content of the plan.
@@ -480,7 +489,9 @@ def shortfall(plan: Reference) -> Shortfall | None:
 
 
 def orbit_distance(states: Array, stop: PlanStop, plan: Reference) -> float:
-    """Return the least scaled distance between states and a stop's orbit; rates count by `_RATE_UNIT`.
+    """Return the least scaled distance between states and the orbit of a stop.
+
+    The distance is the largest difference of a component; `_RATE_UNIT` rad/s count as 1 rad.
 
     Args:
         states: states (K, 2n+2).

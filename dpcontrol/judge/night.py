@@ -363,7 +363,11 @@ def read_night(folder: Path) -> Night:
 
 
 def _digests(folder: Path) -> Iterator[Digest]:
-    """Yield the digests of a night's files in order; a digest that is missing or old is computed from its log."""
+    """Yield the digests of a night's files in order: figures and events of each log.
+
+    A night is evaluated from them, without reading hours of logs. A digest that is missing or old, as after a killed
+    run, is computed from its log.
+    """
     name = folder.resolve().name
     numbers = sorted({file.stem for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json")})
     for stem in numbers:

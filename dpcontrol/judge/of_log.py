@@ -64,7 +64,8 @@ _CUT = CutSettings(smallest_phase_step=3e-4)
 def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
     """Return the tubes along which a plan's symbols lead, each once, for phase planes and the viewer.
 
-    Tubes of three arms have no sections, and older plans do not store their orbits.
+    A symbol leaves along the unstable tube of one stop's orbit, and arrives along the stable tube of the next. Tubes of
+    three arms have no sections, and older plans do not store their orbits.
 
     Args:
         content: content of the plan.
@@ -113,7 +114,7 @@ def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
 
 
 def _flown(system: System, place: PlanOrbit, section: Section, *, hit: int, stable: bool) -> Iterator[TubeCurve]:
-    """Yield both branches of an orbit's tube up to a section, without the whole turns of a stop.
+    """Yield both branches of an orbit's tube up to a section, before they are moved by the whole turns of a stop.
 
     Args:
         system: conservative pendulum of the plan.
@@ -125,6 +126,7 @@ def _flown(system: System, place: PlanOrbit, section: Section, *, hit: int, stab
     orbit = _lyapunov(system, place)
     manifold = UnstableManifold(orbit)
     cut = tube_cut(manifold, section, hit=hit, settings=_CUT)
+    # A row of NaN separates the pieces of a cut, so that no line joins them.
     gap = np.full((1, system.dimension), np.nan)
     for branch in (1, -1):
         pieces = [piece for piece in cut.pieces if piece.branch == branch]

@@ -332,10 +332,10 @@ class Flown(Brief):
 
 
 def counted(stretches: Sequence[Stretch], *, rate_hz: float) -> list[tuple[NDArray[np.intp], Array]]:
-    """Return the ticks (K,) of each stretch that count for the score, and their times (K,) on the plan's clock, s.
+    """Return the ticks (K,) of each stretch on the itinerary that count for the score, and their times on the plan, s.
 
-    Ticks after the restart point of a later stretch do not count, because the run repeats them. Stretches without such
-    ticks are left out.
+    Ticks after the restart point of a later stretch do not count, because the run repeats them. Stretches without
+    counted ticks are left out.
 
     Args:
         stretches: stretches in order.
@@ -506,7 +506,7 @@ def stretches_of(log: RunLog) -> tuple[Stretch, ...]:
 
 
 def returns(events: Sequence[Event]) -> tuple[float, ...]:
-    """Return the time from each departure off the itinerary to the return to it, s, in order.
+    """Return the time from each departure off the itinerary until the run was on it again, s, in order.
 
     A flight after which the law does not take over belongs to the departure before it.
 
@@ -625,7 +625,10 @@ def _unobserved(flown: Flown) -> FaultFigures | None:
 
 
 def _limits(flown: Flown) -> FaultFigures | None:
-    """Return the fault of the first cart limit that was exceeded, with value and time, or None."""
+    """Return the fault of a run whose cart exceeded a limit, with value and time of the largest excess, or None.
+
+    The drive's hardest acceleration is checked first if it is known, then the cart's motion.
+    """
     states, n = flown.states, flown.angles.shape[1]
     if flown.limits is None:
         return None

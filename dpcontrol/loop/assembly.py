@@ -188,7 +188,7 @@ class Assembly:
         )  # fmt: skip
 
     def ticker(self, *, runs: int = 1) -> Ticker:
-        """Return controller, estimator and supervisor for one run, or for several in lockstep.
+        """Return a new ticker: controller, estimator and supervisor of one run, or of several in lockstep.
 
         Args:
             runs: number of runs, default 1.
@@ -347,7 +347,7 @@ class Assembly:
         return Lockstep(ticker, bench, draws, departures).run()[: len(seeds)]
 
     def margins(self) -> Margins:
-        """Return the margins of gain, delay and lag of this loop along the reference.
+        """Return the margins of this loop along the reference: changes of gain, delay and lag that make it unstable.
 
         Delay and lag are those beyond the assumed ones. The plant has the parameters of the model. Any filter other
         than the extended one is replaced by it, with the same settings.

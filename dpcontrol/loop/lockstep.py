@@ -35,6 +35,10 @@ class Lockstep:
     def __init__(
         self, ticker: Ticker, bench: BatchBench, draws: Sequence[BenchDraw], departures: Departures | None = None
     ) -> None:
+        """Begin with all runs alive.
+
+        `_counts` has the ticks of each run until its end, and `_stopped_at` the tick at which its cart was stopped.
+        """
         self._ticker, self._bench, self._runs, self._departures = ticker, bench, len(draws), departures
         self._period, self._arms = ticker.program.period, ticker.program.model.arms
         noises = [draw.drawn("rate_noise") for draw in draws if "rate_noise" in draw.streams]

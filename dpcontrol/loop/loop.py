@@ -99,6 +99,11 @@ class ControlLoop:
         keep: bool = True,
         progress: Progress = no_progress,
     ) -> None:
+        """Begin before the first tick, with no rows.
+
+        `_first` is the tick of the first row in memory, `_done` the number of completed ticks, and `_flushed` of those
+        sent to the sink.
+        """
         self.ticker, self.limits, self.sink, self.fallback, self.progress = ticker, limits, sink, fallback, progress
         self._rate_noise, self._recovery, self._keep = rate_noise, recovery, keep
         self._until = 0 if recovery is None else recovery.until

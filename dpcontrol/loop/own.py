@@ -73,6 +73,7 @@ class OwnObject:
     """
 
     def __init__(self, role: str, thing: Any, source: str = "") -> None:
+        """Check that the object is not a class, and that it has the methods of its role."""
         self.role, self.thing, self.source = role, thing, source
         self.symbolic = isinstance(thing, {"controller": SymbolicLaw, "plant": SymbolicPlant}.get(role, ()))
         self.name: str = (thing if isinstance(thing, type | SymbolicLaw) else type(thing)).__name__
@@ -316,6 +317,7 @@ class OwnEstimates(Estimator):
     extra_names = ()
 
     def __init__(self, own: OwnObject, model: SampledModel, *, noise: Array) -> None:
+        """Begin before the first reading; `_count` counts the updates and `_sent` is the last command, m/s²."""
         self.own, self.kind, self._model, self._noise = own, own.name, model, noise
         self.failure: OwnFailure | None = None
         self.judged = True
@@ -434,6 +436,7 @@ class OwnArms:
     """
 
     def __init__(self, own: OwnObject, parameters: PlantParameters, state: Array, *, track: float) -> None:
+        """Begin at the initial state; the object's `reset` is called before its first step."""
         self._own, self._parameters, self._track, self._begun = own, parameters, track, False
         self._cart = 2 * parameters.arms.count
         self.faults: dict[int, Event] = {}
@@ -499,6 +502,7 @@ class OwnRig:
     """
 
     def __init__(self, own: OwnObject, *, arms: int, period: float) -> None:
+        """Begin before the first reading; `_count` counts the readings."""
         self.own, self.period, self.fault = own, period, None
         self._arms, self._count, self._stopped = arms, 0, False
         self.truth: Array | None = None if getattr(own.thing, "truth", None) is None else np.zeros(2 * arms + 2)

@@ -127,6 +127,10 @@ class DirectPilot:
     """
 
     def __init__(self, briefing: Briefing) -> None:
+        """Make the models and the planner once; `ask` replaces their parameters by those of each request.
+
+        The gains along a flight use the coarse model, whose periods are longer.
+        """
         self.briefing, rate, lag = briefing, briefing.rate, briefing.lag
         self._model = sampled_model(briefing.arms, rate, lag)
         self._coarse = sampled_model(briefing.arms, rate / max(1, round(rate / _GAINS)), lag)
@@ -194,6 +198,7 @@ class DirectPilot:
             goal: goal of the flight.
         """
         flights, gains, period = course.flights, course.law.gains, self._model.period
+        # The law's first rows are those of the commands that were pending before the flight.
         step, pending = course.duration / STEPS, len(gains) - int(course.duration / period)
         first_step = min(round(elapsed * period / step), STEPS - 1)
         ticks = np.minimum(pending + (np.arange(first_step, STEPS) * step / period).astype(int), len(gains) - 1)

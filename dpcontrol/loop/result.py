@@ -499,6 +499,7 @@ class JudgedTicks:
     """
 
     def __init__(self, count: int, runs: int, arms: int) -> None:
+        """Allocate room for all ticks of all runs; `_latest` holds states that are not yet transposed."""
         n = 2 * arms + 2
         # A run's states are contiguous because they are read run by run.
         self._truth, self._latest = np.empty((runs, count, n)), np.empty((_TURN, n, runs))

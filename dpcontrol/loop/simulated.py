@@ -51,6 +51,7 @@ class Encoders:
         self, arms: int, settings: SensorSettings, *, zeros: Array | None = None, drift: Array | None = None,
         lanes: Lanes = ONE, places: Mapping[int, int] = MappingProxyType({}),
     ) -> None:  # fmt: skip
+        """Begin with no lost counts (`_missed`) and no stuck value (`_stuck`)."""
         self.settings = settings
         self._arms, self._lanes = arms, lanes
         self._places, self._cart_place = [places.get(k) for k in range(arms)], places.get(arms, 2 * arms)
@@ -206,6 +207,7 @@ class SimulatedPlant:
     """
 
     def __init__(self, plants: list[PlantParameters], state: Array, *, track: float) -> None:
+        """Compile the plant's step, and allocate its inputs, whose rows hold state, duration, demand and parameters."""
         first = plants[0]
         self.plants, self.track = plants, track
         self.faults: dict[int, Event] = {}
@@ -430,6 +432,11 @@ class SimulatedBench:
         self, draws: Sequence[BenchDraw], settings: BenchSettings, *, limits: Limits, start: Array,
         queued: Sequence[Any] = (), lanes: Lanes = ONE,
     ) -> None:  # fmt: skip
+        """Begin before the first reading (tick -1), with the queued commands on their way to the drives.
+
+        `_demands` holds the demands in the order in which they act, `_sent_before` the number of those sent before the
+        present period, and `_fraction` the part of a period by which the delay exceeds whole ones.
+        """
         draw, n = draws[0], draws[0].plant.arms.count
 
         def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:

@@ -50,6 +50,10 @@ class Ticker:
         estimator: Estimator | None = None,
         estimator_kind: str,
     ) -> None:
+        """Store the parts, and prepare the first tick.
+
+        `_schedule` and `_rows` hold the gains by tick of a law without an internal clock; `_session` is a law with one.
+        """
         self.program, self.controller, self.estimator = program, controller, estimator
         self._own = estimator if isinstance(estimator, OwnEstimates) else None
         self._judged = True

@@ -293,7 +293,10 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
 
 
 def _schema(cases: Sequence[Case], record: Mapping[str, Any]) -> "pa.Schema":
-    """Return the columns of a campaign's tables, with those of the varied numbers, and their metadata."""
+    """Return the columns of a campaign's tables, with those of the varied numbers.
+
+    The table's metadata hold `record`, by which a campaign is recognised when it is continued.
+    """
     varied_columns = dict.fromkeys((name for case in cases for name in _numbers(case)), "double")
     fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **varied_columns}.items()]
     return pa.schema(fields, metadata={METADATA: json.dumps(record).encode()})
@@ -727,7 +730,10 @@ def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettin
 
 
 def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list[Job]:
-    """Return the jobs of a plan's cases, each with as many seeds as fit in the memory of a worker."""
+    """Return the jobs of a plan's cases, each with as many seeds as fit in a worker's memory.
+
+    A job that runs tick by tick has fewer seeds, so that a killed campaign loses little.
+    """
     archive = plan.archive
     seeds = range(settings.first_seed, settings.first_seed + settings.runs)
     # Batches do not depend on the number of runs, so that a longer campaign reuses the jobs of a shorter one.

@@ -50,6 +50,7 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
     metadata = {"render_modes": [], "autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(self, definition: str, *, max_episode_steps: int, num_envs: int = 1) -> None:
+        """Read the environment's itinerary, and define the spaces of observations and actions."""
         itinerary = load_itinerary(str(DEFINITIONS / f"{definition}.toml"))
         self.itinerary, self.num_envs, self._steps = itinerary, num_envs, max_episode_steps
         equilibrium_points, self._arms = equilibria(itinerary.model.system), itinerary.model.arms.count
@@ -160,6 +161,7 @@ class BenchEnvironment(gymnasium.Env[Values, Values]):
     metadata = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, **options: Any) -> None:
+        """Make a vector of benches that all have the same seed, of which only the first is shown."""
         self.vector = BenchVector(**options, num_envs=VECTOR)
         self.observation_space, self.action_space = (
             self.vector.single_observation_space,

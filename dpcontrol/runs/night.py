@@ -359,6 +359,7 @@ def name_check(
     record = run_record(itinerary, bench)
 
     def check(file: Path) -> None:
+        """Check the name of a log, or of the folder that a long run derives from it."""
         if night is None:
             check_replaced(checked_target(file), record, force=force)
             return

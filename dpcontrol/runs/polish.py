@@ -256,7 +256,10 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
 
 
 def _problem(plan: Plan, part: Reference) -> ReferenceProblem:
-    """Return the optimisation problem of one part of the robust plan: same time, same ends, shares of the limits."""
+    """Return the optimisation problem of one part of the robust plan: same time, same ends, shares of the limits.
+
+    The robust plan may use more of a limit than `SHARE`; then the part may do so too.
+    """
     robust, arms = plan.reference, plan.itinerary.model.arms.planned()
     bounds = {name: max(SHARE * bound, robust.largest[name]) for name, bound in robust.limits.named().items()}
     ends = EndConditions(start=part.state(0.0), end=part.state(part.duration))
@@ -266,7 +269,7 @@ def _problem(plan: Plan, part: Reference) -> ReferenceProblem:
 
 
 def _along(motion: Trajectory) -> Guess:
-    """Return a guess that follows a motion: the pendulum's states at given times, without the cart's."""
+    """Return a motion as a guess for a search: a function of times, s, that returns the pendulum's states."""
     return lambda times: motion.state(times)[:, :-2]
 
 
@@ -299,7 +302,14 @@ def _searched(
 
 
 def _settings(settings: ReferenceSettings, weight: float, method: str, iterations: int) -> ReferenceSettings:
-    """Return the settings of a joint search: `weight` holds it near the robust plan."""
+    """Return the settings of a joint search.
+
+    Args:
+        settings: settings of the plan's references.
+        weight: weight of the distance to the guess, which holds the motion near the robust plan.
+        method: name of the transcription.
+        iterations: limit of iterations.
+    """
     return replace(
         settings, level="cart", solver="ipopt", method=method, pendulum_weight=weight, cart_weight=CART_WEIGHT,
         end_tolerance=0.0, iterations=iterations,
@@ -307,9 +317,14 @@ def _settings(settings: ReferenceSettings, weight: float, method: str, iteration
 
 
 def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
-    """Return a motion refined for a part of the plan, on a mesh of the plan's method and within its tolerance.
+    """Return a motion of a part of the plan, refined within the plan's tolerance on a mesh of its method.
 
-    A weight holds it near `motion`, so that refinement does not lead to another minimum.
+    A weight holds it near the motion of the search, so that refinement does not lead to another minimum.
+
+    Args:
+        plan: robust plan.
+        part: part of its reference, which gives time and ends.
+        motion: result of a search for this part.
     """
     plan_settings = plan.itinerary.reference
     settings = _settings(plan_settings, _HOLD, plan_settings.method, max(plan_settings.iterations, 100))
@@ -379,6 +394,8 @@ class Departure(Concluded):
 def departure(robust: Reference, motion: Reference) -> Departure | None:
     """Return the first difference between the walks of a polished motion and its robust plan, or None.
 
+    A walk is the order, direction and turns of section crossings, with the wraps between them.
+
     Args:
         robust: reference of the robust plan.
         motion: reference of the polished motion.
@@ -426,6 +443,7 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
         stop = content.stops[k + 1]
         # The arm that swings farther on the stop's orbit counts its wraps.
         arm = int(np.argmax(np.ptp(content.orbit(stop).curve[:, :n], axis=0)))
+        # Each wrap crosses the saddle's angle twice, which gives half wraps.
         is_above = angles[(grid >= arrival) & (grid <= departure_time), arm] > stop.angles[arm]
         halves.append(None if content.wraps[k] is None else int(np.count_nonzero(is_above[1:] != is_above[:-1])))
     return _Crossed(times, events, halves)
@@ -453,7 +471,10 @@ def _events(walk: list[PlanSymbol], angles: Array) -> list[tuple[int, int, int]]
 
 
 def _noted(plan: Plan, motion: Reference) -> Reference:
-    """Return a polished motion with the plan's content, at its own times of crossings and with its own transfers."""
+    """Return a polished motion with the plan's content, whose crossing times and transfers are those of the motion.
+
+    Scores and views need the content.
+    """
     content, n = plan.content, plan.itinerary.model.arms.count
     times = _crossed(plan.reference, motion).times
     angles = motion.state(motion.mesh[0] + np.array(times))[:, :n].tolist()

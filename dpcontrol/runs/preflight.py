@@ -65,12 +65,15 @@ class SettingChange:
 
 
 def _fewest_counts(itinerary: Itinerary) -> int:
-    """Return the counts per turn of the coarsest encoder, which limits the estimate; 0 if none rounds."""
+    """Return the counts per turn of the coarsest encoder, which limits the estimate; 0 without rounding."""
     return min(itinerary.loop.counts(itinerary.model.arms.count), default=0)
 
 
 def changes(itinerary: Itinerary) -> Iterator[Sequence[SettingChange]]:
     """Yield the changes that may complete more runs, by kind, the smallest of a kind first.
+
+    There are kinds for more travel, for each trouble of the bench (half of it, and none), for better encoders, and for
+    other settings of the loop.
 
     Args:
         itinerary: itinerary of the run.
@@ -272,7 +275,8 @@ _MOST_VALUES = 8
 def _border(search: _Task, hazard: Hazard) -> HazardBorder:
     """Return the border of a hazard: the value that halves the present number of completed runs.
 
-    The border is bracketed by doubling from the first value, then narrowed by interpolation. `search` has the seeds.
+    The border is bracketed by doubling from the first value, then narrowed by interpolation on a logarithmic scale.
+    `search` has the seeds, and their endings on the present bench.
     """
     points: dict[float, ShareAt] = {}
 
@@ -322,7 +326,12 @@ def _border(search: _Task, hazard: Hazard) -> HazardBorder:
 def _point(search: _Task, hazard: Hazard, value: float, *, until_clear: bool = True) -> ShareAt:
     """Run one value of a trouble, and return its completed runs beside those of the present bench.
 
-    Blocks of seeds are run until the value's side of the border is clear, or without `until_clear` on all seeds.
+    Args:
+        search: task with the seeds, and their endings on the present bench.
+        hazard: the trouble.
+        value: value of its setting.
+        until_clear: run blocks of seeds until it is clear on which side of the border the value is; otherwise all
+            seeds.
     """
     job = search.job
     loop = overridden(job.case.loop, {hazard.trouble.setting: value, **dict(hazard.besides)})
@@ -340,9 +349,10 @@ def _point(search: _Task, hazard: Hazard, value: float, *, until_clear: bool = T
 
 
 def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
-    """Return the places where the share and each end of its 95 % interval are one half, or None.
+    """Return the places on the scale of severity at which three curves are one half, or None for each.
 
-    A falling curve is fitted to the points, because more of a trouble cannot help.
+    The curves are the share of completed runs and the ends of its 95 % interval. A falling curve is fitted to the
+    points, because more of a trouble cannot help.
     """
     ordered = sorted(points, key=lambda point: hazard.place(point.value))
     places = [hazard.place(point.value) for point in ordered]

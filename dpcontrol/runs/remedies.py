@@ -126,7 +126,7 @@ class Why(Documented):
         return text
 
     def lines(self) -> list[str]:
-        """Return the evidence for each remedy."""
+        """Return the evidence for each remedy: completed runs of both groups, without and with the change."""
         null = self.unchanged
         if null is None:
             return []
@@ -218,6 +218,7 @@ def _job(plan: Plan, size: int) -> Job:
     """
     itinerary, loop = plan.itinerary, plan.itinerary.loop
     seeds = (*[loop.seed] * size, *range(loop.seed + 1, loop.seed + 1 + size))
+    # The first variant is the failed run itself.
     variants = [loop.mismatch * (1 - _HARMLESS * k) if loop.mismatch else 1e-2 * _HARMLESS * k for k in range(size)]
     return Job(
         itinerary.name, plan.archive, itinerary.model.arms, Case("why", (), loop), seeds, "compiled",
@@ -228,8 +229,8 @@ def _job(plan: Plan, size: int) -> Job:
 def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
     """Return completed runs and the first run's verdict of each job, up to the first job that beats the null group.
 
-    If runs are sequential, the rest of a job runs only if its first run is completed. `group` has the jobs of one kind
-    of change, and the null group's completed runs, none for the null group itself.
+    `group` has the jobs of one kind of change, and the null group's completed runs; these are empty for the null group
+    itself. If runs are sequential, the rest of a job runs only if its first run is completed.
     """
     verdicts: list[tuple[tuple[bool, ...], str]] = []
     (changes_and_jobs, null_runs), failed_run = group, slice(1)
