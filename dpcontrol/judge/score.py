@@ -73,7 +73,7 @@ class Verdict:
         wraps: number of wraps at each stop that was reached.
         fault: fault of the run, `Fault.NONE` if it completed its plan.
         figures: numbers and names of the fault. `short` is the time by which the run ended early, s.
-        end: event that ended the run early or let it fall back, or None.
+        end: event that ended the run early, or from which on another orbit was held, or None.
     """
 
     symbols: int

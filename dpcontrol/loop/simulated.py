@@ -434,8 +434,8 @@ class SimulatedBench:
     ) -> None:  # fmt: skip
         """Begin before the first reading (tick -1), with the queued commands on their way to the drives.
 
-        `_demands` holds the demands in the order in which they act, `_sent_before` the number of those sent before the
-        present period, and `_fraction` the part of a period by which the delay exceeds whole ones.
+        `_demands` holds the demands in the order in which they act. `_sent_before` is the number of those sent before
+        the present period, and `_fraction` the part of the delay beyond whole periods.
         """
         draw, n = draws[0], draws[0].plant.arms.count
 
