@@ -83,7 +83,9 @@ def orbit_panel(progress: Progress, *, quick: bool) -> Diagram:
     system = load_model("lab").system
     truth = refine_orbit(lyapunov_orbit(system, "down-up", energy=ENERGY)).state.astype(float)
     defaults = ContinuationSettings()
-    settings = [("step of the continuation", f"{s:g}", replace(defaults, step=s)) for s in (0.025, 0.05, 0.1, 0.2, 0.4)]
+    settings = [
+        ("step of the continuation", f"{step:g}", replace(defaults, step=step)) for step in (0.025, 0.05, 0.1, 0.2, 0.4)
+    ]
     settings += [
         ("tolerance", f"{tolerance:.0e}", replace(defaults, tolerance=tolerance)) for tolerance in (1e-4, 1e-7, 1e-10)
     ]
@@ -144,10 +146,13 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
     """
     defaults = ConnectionSettings()
     expected = len(find_connections(orbit, orbit).connections)
-    cases = [("seed distance", f"{d:.0e}", replace(defaults, distance=d)) for d in (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-6)]
+    cases = [
+        ("seed distance", f"{distance:.0e}", replace(defaults, distance=distance))
+        for distance in (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-6)
+    ]
     cases += [("first phases", f"{n}", replace(defaults, cut=CutSettings(first_phases=n))) for n in (12, 25, 50, 200)]
     cases += [("chord", f"{c:g}", replace(defaults, cut=CutSettings(chord=c))) for c in (0.2, 0.1, 0.025)]
-    cases += [("shooting from", f"{f:.0e}", replace(defaults, farthest=f)) for f in (1e-4, 1e-5, 1e-6)]
+    cases += [("shooting from", f"{start:.0e}", replace(defaults, farthest=start)) for start in (1e-4, 1e-5, 1e-6)]
     if quick:
         cases = [cases[k] for k in (0, 6, 10)]
 
@@ -155,10 +160,13 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
         """Return the states (N,) of all connections that a search with these settings finds."""
         return [c.state for c in find_connections(orbit, orbit, settings=settings).connections]
 
-    alternatives = [Alternative(method, label, partial(found_states, s)) for method, label, s in cases]
+    alternatives = [
+        Alternative(method, label, partial(found_states, case_settings)) for method, label, case_settings in cases
+    ]
     alternatives.append(Alternative("chosen", "1e-4, 100, 0.05, 3e-7", partial(found_states, defaults), default=True))
     alternatives += [
-        Alternative("two flights", f"{d:.0e}", partial(_two_flights, orbit, d)) for d in (1e-3, 1e-4, 1e-6)
+        Alternative("two flights", f"{distance:.0e}", partial(_two_flights, orbit, distance))
+        for distance in (1e-3, 1e-4, 1e-6)
     ]
 
     def judge(alternative: Alternative[list[Array]], states: list[Array]) -> Judged | str:
@@ -201,7 +209,9 @@ def three_body_panel(*, quick: bool) -> Diagram:
         return find_connections(first, second, hits=(2, 2))
 
     def judge(_: Alternative[ConnectionSearch], search: ConnectionSearch) -> Judged:
-        return Judged(max(c.residual for c in search.connections), note=f"{len(search.connections)} connections")
+        return Judged(
+            max(connection.residual for connection in search.connections), note=f"{len(search.connections)} connections"
+        )
 
     measurement = {"rounds": 3 if quick else 7, "most": 0.5 if quick else 4.0, "least": 1}
     ours_measured = compare(
@@ -301,9 +311,11 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         quick: fewer settings.
     """
     finest_cost = transcribed(problem, FINEST).cost
-    settings = [ReferenceSettings(method=name, interval=t) for name, t in (QUICK if quick else QUICK + WHOLE)]
+    settings = [
+        ReferenceSettings(method=name, interval=interval) for name, interval in (QUICK if quick else QUICK + WHOLE)
+    ]
     fatrop_cases = (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]
-    settings += [ReferenceSettings(method=name, interval=t, solver="fatrop") for name, t in fatrop_cases]
+    settings += [ReferenceSettings(method=name, interval=interval, solver="fatrop") for name, interval in fatrop_cases]
 
     def judge(_: Alternative[Solved], solved: Solved) -> Judged | str:
         if not solved.succeeded:
@@ -311,7 +323,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         measures = {"cost": solved.cost, "iterations": float(solved.iterations)}
         return Judged(float(error_between_nodes(problem, solved.trajectory).max()), measures)
 
-    alternatives = [_alternative(problem, s, transcribed) for s in settings]
+    alternatives = [_alternative(problem, case_settings, transcribed) for case_settings in settings]
     diagram = compare(alternatives, judge, **_turns(quick=quick), progress=progress)
     costs = tuple(replace(point, error=abs(point.others["cost"] / finest_cost - 1)) for point in diagram.points)
     label = f"cost, off {FINEST.method} at {1e3 * FINEST.interval:g} ms, share"
@@ -362,7 +374,10 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     def judge(_: Alternative[Reference], reference: Reference) -> Judged | str:
         return Judged(reference.max_error_between_nodes) if reference.converged else reference.status
 
-    alternatives = [replace(_alternative(problem, s, find_reference), default=s == defaults) for s in cases]
+    alternatives = [
+        replace(_alternative(problem, case_settings, find_reference), default=case_settings == defaults)
+        for case_settings in cases
+    ]
     return replace(
         compare(alternatives, judge, **_turns(quick=quick), progress=progress),
         title=f"mesh refined to {defaults.tolerance:.0e}",

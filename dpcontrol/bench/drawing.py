@@ -136,9 +136,17 @@ def _borders(edge_map: EdgeMap) -> Iterator[Layer]:
     """
     rows = list(enumerate(edge_map.borders))
     marks: Look = {"linestyle": "none", "markersize": 5}
-    trials = [(y, k, attempt.works) for k, border in rows for y, attempt in border.trials]
-    yield edge_map.near, [(y, k) for y, k, works in trials if works], {**marks, "marker": "o", "color": GOOD}
-    yield edge_map.far, [(y, k) for y, k, works in trials if not works], {**marks, "marker": "x", "color": LIMIT}
+    trials = [(tried_value, k, attempt.works) for k, border in rows for tried_value, attempt in border.trials]
+    yield (
+        edge_map.near,
+        [(tried_value, k) for tried_value, k, works in trials if works],
+        {**marks, "marker": "o", "color": GOOD},
+    )
+    yield (
+        edge_map.far,
+        [(tried_value, k) for tried_value, k, works in trials if not works],
+        {**marks, "marker": "x", "color": LIMIT},
+    )
     measured = [(border.measured, k) for k, border in rows if border.measured is not None]
     yield "measured", measured, {**marks, "marker": "|", "color": INK, "markersize": 14}
     predicted = [(border.predicted, k) for k, border in rows if border.predicted is not None]

@@ -49,7 +49,11 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
     names = {saddle for symbol in symbols for part in symbol.simple for saddle in (part.source, part.target)}
     floor = max(equilibrium(system, name).energy for name in names)
     points, missing = [], []
-    branches = {s.text: SymbolBranches(system, s) for s in symbols if not s.parts and s.name is None}
+    branches = {
+        parsed_symbol.text: SymbolBranches(system, parsed_symbol)
+        for parsed_symbol in symbols
+        if not parsed_symbol.parts and parsed_symbol.name is None
+    }
     connection_of_symbol = {text: branch.chosen(walk.energy) for text, branch in branches.items()}
 
     def symbol_at_energy(text: str, energy: float) -> str:
@@ -78,12 +82,14 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
             points.append(Point("loop", label, energy - floor, effort["loop"], factor == 1.0, note=note, others=effort))
         else:
             missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
-    if not any(p.default for p in points):
+    if not any(point.default for point in points):
         raise GoalMissed(f"{itinerary.name}: no comparison without its energy: {missing[0].reason}")
     axis = "energy above the highest saddle's, J"
     effort_diagram = Diagram(itinerary.title, axis, "∫u², m²/s³", tuple(points), missing=tuple(missing), judged=False)
     gains = tuple(
-        replace(p, method="peak gain", error=p.others["peak_gain"]) for p in points if p.method == "reference"
+        replace(point, method="peak gain", error=point.others["peak_gain"])
+        for point in points
+        if point.method == "reference"
     )
     gain_diagram = Diagram("What it asks of the feedback", axis, "peak gain, m/s² per rad", gains, judged=False)
     return ChartPage(

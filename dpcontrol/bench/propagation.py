@@ -188,7 +188,9 @@ def work_of(system: System, states: Array, duration: float) -> Work:
     """
     exact = ExtendedPropagator(system.equations, system.parameters)
     length = extended(np.array([duration]))[0]
-    return Work(system, states, duration, np.array([exact.flow(extended(x), length) for x in states]).astype(float))
+    return Work(
+        system, states, duration, np.array([exact.flow(extended(state), length) for state in states]).astype(float)
+    )
 
 
 def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Diagram:
@@ -228,7 +230,7 @@ def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Ar
 
 def _each(fly: Callable[..., Array], states: Array, *args: Any, **more: Any) -> Callable[[], Array]:
     """Return a function that propagates one state (N,) after the other by `fly`, and returns the ends (K, N)."""
-    return lambda: np.array([fly(x, *args, **more) for x in states])
+    return lambda: np.array([fly(state, *args, **more) for state in states])
 
 
 def _together(fly: Callable[..., Array], states: Array, *args: Any, **more: Any) -> Callable[[], Array]:
@@ -349,7 +351,7 @@ def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array
     )
     flow = ExtendedPropagator(with_held_input, np.append(parameters, COMMAND))
     tick = extended(np.array([TICK]))[0]
-    return np.array([flow.flow(extended(x), tick) for x in states]).astype(float)
+    return np.array([flow.flow(extended(state), tick) for state in states]).astype(float)
 
 
 def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diagram]:

@@ -234,7 +234,7 @@ def _plan_time(time: Array, due: Sequence[float], crossings: tuple[float | None,
         if crossed_at is not None:
             anchors.append(crossed_at)
             offsets.append(crossed_at - due_time)
-    middles = [(a + b) / 2 for a, b in pairwise(anchors)]
+    middles = [(anchor + next_anchor) / 2 for anchor, next_anchor in pairwise(anchors)]
     return np.asarray(time - np.asarray(offsets)[np.searchsorted(middles, time)])
 
 
@@ -296,7 +296,14 @@ def _spans(
     begins, ends, arrivals = [0.0], [], [0.0]
     for symbol, due_time in zip(content.symbols, due, strict=True):
         transfers = content.transfers if symbol.section is None else ()
-        begin, end = next(((a, b) for a, b in transfers if a <= due_time <= b), (due_time, due_time))
+        begin, end = next(
+            (
+                (transfer_begin, transfer_end)
+                for transfer_begin, transfer_end in transfers
+                if transfer_begin <= due_time <= transfer_end
+            ),
+            (due_time, due_time),
+        )
         ends.append(begin)
         begins.append(end)
         arrivals.append(end if symbol.section is None else due_time + symbol.time_in)
@@ -316,7 +323,7 @@ def _visit(angles: Array, inside: NDArray[np.intp], stop: PlanStop, content: Pla
     """
     stop_angles, saddle = angles[inside], stop.angles
     distances = np.square(stop_angles - saddle).sum(axis=1)
-    saddles = [np.asarray(content.saddles[name].angles) for name in {s.saddle for s in content.stops}]
+    saddles = [np.asarray(content.saddles[name].angles) for name in {other_stop.saddle for other_stop in content.stops}]
     nearest = np.min(
         [np.square((stop_angles - other + np.pi) % (2 * np.pi) - np.pi).sum(axis=1) for other in saddles], axis=0
     )

@@ -196,9 +196,9 @@ class Night(Shown, Documented):
         with_parameter = [digest for digest in self.digests if name in digest.extras]
         shortest = _SHORT * max(digest.end - digest.first for digest in with_parameter)
         long_digests = [digest for digest in with_parameter if digest.end - digest.first >= shortest]
-        return np.array([(d.first + d.end) / 7200 for d in long_digests]), np.array(
-            [d.extras[name][0] for d in long_digests]
-        )
+        return np.array(
+            [(digest_of_file.first + digest_of_file.end) / 7200 for digest_of_file in long_digests]
+        ), np.array([digest_of_file.extras[name][0] for digest_of_file in long_digests])
 
     @property
     def drifts(self) -> tuple[Drift, ...]:
@@ -218,7 +218,11 @@ class Night(Shown, Documented):
     def memory_growth(self) -> float:
         """Final memory of the process relative to the session's first file, not-a-number if unknown."""
         last_digest = self.digests[-1]
-        memories = [d.memory for d in self.digests if d.session == last_digest.session and math.isfinite(d.memory)]
+        memories = [
+            digest.memory
+            for digest in self.digests
+            if digest.session == last_digest.session and math.isfinite(digest.memory)
+        ]
         return memories[-1] / memories[0] if memories else math.nan
 
     @property
@@ -259,7 +263,7 @@ class Night(Shown, Documented):
         return {
             "log": self.folder, "hours": self.known / 3600, "files": len(self.digests),
             "files_kept": len([*self.folder.glob("*.mcap")]),
-            "sessions": len({d.session for d in self.digests}),
+            "sessions": len({digest.session for digest in self.digests}),
             "uptime": self.uptime, "repetitions": self.repetitions, "falls": len(self.falls),
             "catches": self.catches, "falls_per_hour": self.falls_per_hour, "causes": self.causes,
             "return_median": quantiles[0], "return_99": quantiles[1],

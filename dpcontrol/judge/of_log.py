@@ -74,7 +74,7 @@ def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
     if any(symbol.section for symbol in content.symbols) and not installed("heyoka"):
         remark("the tubes along the way are not shown: heyoka is not installed")
         return ()
-    sections = {s.name: s for s in (*system.sections.values(), *system.named_sections.values())}
+    sections = {section.name: section for section in (*system.sections.values(), *system.named_sections.values())}
     branches = cache(lambda index, name, **tube: tuple(_flown(system, content.orbits[index], sections[name], **tube)))
     tubes: dict[tuple[Any, ...], TubeCurve] = {}
     for symbol, *stops in zip(content.symbols, content.stops, content.stops[1:], strict=False):
@@ -138,7 +138,13 @@ def _flown(system: System, place: PlanOrbit, section: Section, *, hit: int, stab
         seeds, _ = manifold.seeds(phases[strand_rows], branch)
         instants = np.linspace(0.0, times[strand_rows], INSTANTS, axis=1)
         strands = np.array([system.propagator.sample(*flight) for flight in zip(seeds, instants, strict=True)])
-        cut_states = np.vstack([part for p in pieces for part in (p.states, p.states[: int(p.closed)], gap)])
+        cut_states = np.vstack(
+            [
+                part
+                for cut_piece in pieces
+                for part in (cut_piece.states, cut_piece.states[: int(cut_piece.closed)], gap)
+            ]
+        )
         if stable:
             strands, cut_states = (
                 (states - orbit.centre) @ orbit.reverser.T + orbit.centre for states in (strands, cut_states)
@@ -260,9 +266,9 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
         symbols=tuple((symbol.time, symbol.text) for symbol in content.symbols),
         tubes=() if system is None else tubes_of(content, system),
         planned=tuple(
-            Stay(a, b, stop.saddle, stop.saddle)
+            Stay(begin, end, stop.saddle, stop.saddle)
             for (first, last), stop in zip(pairwise(edges), content.stops, strict=True)
-            for a, b in _outside(content.transfers, first, last)
+            for begin, end in _outside(content.transfers, first, last)
         ),
         transfers=content.transfers,
         duration=plan.duration,
@@ -279,7 +285,7 @@ def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: flo
     """
     overlapping = [way for way in transfers if way[1] > first and way[0] < last]
     edges = [first, *(time for way in overlapping for time in way), last]
-    yield from ((a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a < b)
+    yield from ((begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if begin < end)
 
 
 def _placed_orbits(content: PlanContent) -> tuple[PlanOrbit, ...]:

@@ -89,7 +89,7 @@ class PlanView:
             self,
             symbols=tuple((clock(at), name) for at, name in self.symbols),
             planned=timed(self.planned, clock),
-            transfers=tuple((clock(a), clock(b)) for a, b in self.transfers),
+            transfers=tuple((clock(begin), clock(end)) for begin, end in self.transfers),
             duration=None if self.duration is None else clock(self.duration),
         )
 
@@ -338,8 +338,10 @@ def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
     rates = log.rates
     if rates is None:
         parts = [
-            np.gradient(positions[a:b], log.time[a:b], axis=0) if b - a > 1 else np.zeros((b - a, size))
-            for a, b in pairwise([0, *breaks.tolist(), len(log.time)])
+            np.gradient(positions[begin:end], log.time[begin:end], axis=0)
+            if end - begin > 1
+            else np.zeros((end - begin, size))
+            for begin, end in pairwise([0, *breaks.tolist(), len(log.time)])
         ]
         rates = np.concatenate(parts)
     rates = clean(rates)

@@ -362,7 +362,9 @@ class Assembly:
             raise InputError("margins need symbolic equations, which Python objects do not provide; remove the object")
         if not isinstance(settings.estimator, EkfSettings):
             filter_settings = {
-                f.name: getattr(settings.estimator, f.name) for f in fields(FilterSettings) if f.name != "kind"
+                setting.name: getattr(settings.estimator, setting.name)
+                for setting in fields(FilterSettings)
+                if setting.name != "kind"
             }
             settings = replace(settings, estimator=EkfSettings(**filter_settings))
         # To first order, a known belt with its input shaping is a lag, and play has no effect.

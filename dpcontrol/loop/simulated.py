@@ -224,10 +224,10 @@ class SimulatedPlant:
         size = step.slices["state"].stop
         self._inputs, following = np.zeros((step.size_in, lanes)), np.zeros((size, lanes))
         self._flown, self._following = following, following if many else following[:, 0]
-        self._inputs[step.slices["parameters"]] = np.array([p.numbers() for p in plants]).T
+        self._inputs[step.slices["parameters"]] = np.array([plant.numbers() for plant in plants]).T
         self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
         self.cart, self.motor, self.lag = 2 * first.arms.count, first.motor, first.lag
-        self.longest, self._lasts = min(longest_step(p) for p in plants), 0.0
+        self.longest, self._lasts = min(longest_step(plant) for plant in plants), 0.0
         self.whole_step = step if modes is None else None
         """The step, if it needs no split at changes of modes."""
         self._states: Array = self._inputs[step.slices["state"]]
@@ -249,8 +249,8 @@ class SimulatedPlant:
 
         Without lag, it is the velocity of the cart, or of the motor of a cart on a belt.
         """
-        v = self.values[self.motor + 1]
-        return v + self.lag * self.values[self.cart + 2] if self.lag else v
+        velocity = self.values[self.motor + 1]
+        return velocity + self.lag * self.values[self.cart + 2] if self.lag else velocity
 
     def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
         """Advance the plant with a constant demand, and stop a cart that reaches the end of its track.
@@ -443,7 +443,7 @@ class SimulatedBench:
             """Return a stream's numbers by tick, which a single run reads one by one; None for an unused stream."""
             if lanes is ONE:
                 return draw.reader(name, rows)
-            return _of_runs([d.drawn(name) for d in draws], lanes) if name in draw.streams else None
+            return _of_runs([run_draw.drawn(name) for run_draw in draws], lanes) if name in draw.streams else None
 
         self.period = draw.period
         """Period of the ticks, s."""
@@ -467,14 +467,14 @@ class SimulatedBench:
         self._encoders = Encoders(
             n,
             settings.sensors,
-            zeros=_of_runs([d.zeros for d in draws], lanes),
-            drift=_of_runs([d.drift for d in draws], lanes),
+            zeros=_of_runs([run_draw.zeros for run_draw in draws], lanes),
+            drift=_of_runs([run_draw.drift for run_draw in draws], lanes),
             lanes=lanes,
             places=draw.plant.reads,
         )
         first = _first_states(draws, start, self._demands[0], lanes)
         self._plant = (
-            SimulatedPlant([d.plant for d in draws], first, track=bounds.position) if draw.own is None
+            SimulatedPlant([run_draw.plant for run_draw in draws], first, track=bounds.position) if draw.own is None
             else OwnArms(draw.own, draw.plant, first, track=bounds.position)
         )  # fmt: skip
         self.truth: Array = self._plant.state[: 2 * n + 2]
@@ -486,8 +486,10 @@ class SimulatedBench:
         self._cart, self._tick = 2 * n, -1
         self._braking: Any = None
         self._off = False
-        fixed_blows = (zip(repeat(run), sorted(d.blows.items(), key=itemgetter(0))) for run, d in enumerate(draws))
-        random_blows = (zip(repeat(run), d.random_blows()) for run, d in enumerate(draws))
+        fixed_blows = (
+            zip(repeat(run), sorted(run_draw.blows.items(), key=itemgetter(0))) for run, run_draw in enumerate(draws)
+        )
+        random_blows = (zip(repeat(run), run_draw.random_blows()) for run, run_draw in enumerate(draws))
         # In order of the ticks, first the known ones.
         self._blows: Iterator[Any] = merge(*fixed_blows, *random_blows, key=lambda entry: entry[1][0])
         self._coming: Any = next(self._blows, _NEVER)

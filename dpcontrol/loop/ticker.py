@@ -134,12 +134,12 @@ class Ticker:
             # Pending commands act before the first tick's own command; each is computed for the state that the
             # previous ones lead to.
             extras = np.zeros(program.equations.filter.dimension - self._n)
-            z = program.spread(np.concatenate([first, extras])[:, None])
+            prediction = program.spread(np.concatenate([first, extras])[:, None])
             queued, drive = [], np.zeros(program.lanes)
             for k in range(self.lead):
-                feedforward, feedback = self._call_law(k, z[: self._n], z[self._n :])
+                feedforward, feedback = self._call_law(k, prediction[: self._n], prediction[self._n :])
                 queued.append(np.broadcast_to(feedforward + feedback, program.lanes))
-                z, drive = program.moved(z, drive, queued[-1])
+                prediction, drive = program.moved(prediction, drive, queued[-1])
             self.queued = np.array(queued).reshape(self.lead, program.lanes)[:, : program.runs]
         program.begin(first, self.queued, velocity=float(first[-1]))
         # Compiled now, since there is no time for it in the first tick.
@@ -250,11 +250,11 @@ class Ticker:
         program = self.program
         if self.estimator is None:
             sensed = program.sense()
-            z = sensed[: program.equations.filter.dimension]
-            ahead, drive = program.look_ahead(z)
+            estimate = sensed[: program.equations.filter.dimension]
+            ahead, drive = program.look_ahead(estimate)
         else:
             sensed, ahead, drive = self._estimated(self.estimator, k + self.began, reading)
-            z = sensed[: program.equations.filter.dimension]
+            estimate = sensed[: program.equations.filter.dimension]
         feedback: Any = 0.0
         if self._session is None:
             np.add(self._rows[k], self._lift, out=program.row)
@@ -263,7 +263,7 @@ class Ticker:
             self.references[k] = self.references[k - 1]
         else:
             self.event = ""
-            feedforward, feedback = self._call_law(k + self.lead, ahead, z[self._n :])
+            feedforward, feedback = self._call_law(k + self.lead, ahead, estimate[self._n :])
             references = self._coming.popleft()
             self._row.feedforward[:] = feedforward
             self.references[k] = references

@@ -259,7 +259,10 @@ def outcomes(job: Job, most: int = MOST_TICKS) -> tuple[RunEnd, ...]:
     file = cache_file("preflights", job.itinerary, job.key)
     if (content := kept(file)) is not None:
         return tuple(RunEnd(*row) for row in json.loads(content))
-    rows = tuple(RunEnd(r["seed"], r["completed"], r["cause"], r["reason"]) for r in run_job(job))
+    rows = tuple(
+        RunEnd(row_of_run["seed"], row_of_run["completed"], row_of_run["cause"], row_of_run["reason"])
+        for row_of_run in run_job(job)
+    )
     keep(file, json.dumps(rows).encode())
     return rows
 
