@@ -82,14 +82,12 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
             points.append(Point("loop", label, energy - floor, effort["loop"], factor == 1.0, note=note, others=effort))
         else:
             missing.append(Missing("loop", label, f"no run completes at ±{MISMATCH:.0%}"))
-    if not any(point.default for point in points):
+    if not any(p.default for p in points):
         raise GoalMissed(f"{itinerary.name}: no comparison without its energy: {missing[0].reason}")
     axis = "energy above the highest saddle's, J"
     effort_diagram = Diagram(itinerary.title, axis, "∫u², m²/s³", tuple(points), missing=tuple(missing), judged=False)
     gains = tuple(
-        replace(point, method="peak gain", error=point.others["peak_gain"])
-        for point in points
-        if point.method == "reference"
+        replace(p, method="peak gain", error=p.others["peak_gain"]) for p in points if p.method == "reference"
     )
     gain_diagram = Diagram("What it asks of the feedback", axis, "peak gain, m/s² per rad", gains, judged=False)
     return ChartPage(
