@@ -340,25 +340,25 @@ def find_border(
         unit: restricts values to its multiples; the search ends at neighbours.
     """
     trials: dict[float, Attempt] = {}
-    good, bad = (max(round(value / unit), 1) * unit if unit else value for value in (near, far))
+    working, failing = (max(round(value / unit), 1) * unit if unit else value for value in (near, far))
 
     def works(value: float) -> bool:
         """Try a value, store the outcome, and return True for success."""
         trials[value] = probe(value)
         return trials[value].works
 
-    sides: tuple[float | None, float | None] = bad, None
-    if not works(good):
-        sides = None, good
-    elif not works(bad):
-        while max(good / bad, bad / good) > ratio:
-            middle = math.sqrt(good * bad)
+    sides: tuple[float | None, float | None] = failing, None
+    if not works(working):
+        sides = None, working
+    elif not works(failing):
+        while max(working / failing, failing / working) > ratio:
+            middle = math.sqrt(working * failing)
             if unit:
                 middle = round(middle / unit) * unit
-            if middle in (good, bad):
+            if middle in (working, failing):
                 break
-            good, bad = (middle, bad) if works(middle) else (good, middle)
-        sides = good, bad
+            working, failing = (middle, failing) if works(middle) else (working, middle)
+        sides = working, failing
     message = "" if sides[1] is None else trials[sides[1]].says
     return Border(x, line, *sides, predicted, message, tuple(sorted(trials.items())))
 

@@ -285,8 +285,8 @@ def pulse_border(orbit: SustainedOrbit, law: OgyController, *, counted: bool, se
 
     def probe(value: float) -> Attempt:
         """Return the outcome of a trial at one limit of pulses, or at one number of counts."""
-        limited = law if counted else replace(law, pulse_limit=value)
-        return holds(orbit, limited, counts=value if counted else COUNTS, seeds=seeds)
+        law_with_limit = law if counted else replace(law, pulse_limit=value)
+        return holds(orbit, law_with_limit, counts=value if counted else COUNTS, seeds=seeds)
 
     return find_border(probe, x=k, line=f"k = {k}", near=near, far=far, ratio=ratio)
 

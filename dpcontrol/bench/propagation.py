@@ -89,8 +89,11 @@ def compiled_rate(equations: Equations, parameters: Array, command: float = 0.0)
     """
     values = [command] * equations.input_count + list(parameters)
     rate = ca.substitute(equations.rate, ca.vertcat(equations.inputs, equations.parameters), ca.SX(values))
-    call, out = Compiled(ca.Function("rate", [equations.state], [ca.densify(rate)])), np.zeros(equations.dimension)
-    return lambda _, state: call(state, out).copy()
+    rate_function, result = (
+        Compiled(ca.Function("rate", [equations.state], [ca.densify(rate)])),
+        np.zeros(equations.dimension),
+    )
+    return lambda _, state: rate_function(state, result).copy()
 
 
 ENERGY = 0.2
@@ -219,12 +222,12 @@ def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Ar
         batches: add many trajectories at once.
         quick: fewer settings and states.
     """
-    few = work.states[: 2 if quick else 4]
+    first_states = work.states[: 2 if quick else 4]
     return [
         *_taylor(work, batches=batches),
         *_stepped(work, batches=batches, quick=quick),
-        *_casadi(work, few),
-        *_scipy(work, few[: 1 if quick else 2], quick=quick),
+        *_casadi(work, first_states),
+        *_scipy(work, first_states[: 1 if quick else 2], quick=quick),
     ]
 
 
@@ -249,8 +252,8 @@ def _taylor(work: Work, *, batches: bool) -> Iterator[Alternative[Array]]:
             "Taylor", label, _each(propagator.flow, states, seconds), not (tolerance or batches), units=count
         )
         if batches:
-            many = partial(propagator.flows, states, np.full(count, seconds))
-            yield Alternative("Taylor, 8 at once", label, many, not tolerance, units=count)
+            batch = partial(propagator.flows, states, np.full(count, seconds))
+            yield Alternative("Taylor, 8 at once", label, batch, not tolerance, units=count)
 
 
 def _stepped(work: Work, *, batches: bool, quick: bool) -> Iterator[Alternative[Array]]:

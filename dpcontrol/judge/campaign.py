@@ -197,10 +197,10 @@ def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
         raise InputError(
             f"{path} has no column of completed runs, only {columns}; give a table of `dpcontrol campaign`"
         )
-    judged = rows.filter(rows["completed"].is_valid())
-    if not judged.num_rows:
+    judged_rows = rows.filter(rows["completed"].is_valid())
+    if not judged_rows.num_rows:
         raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
-    table = judged.to_pydict()
+    table = judged_rows.to_pydict()
     completed = np.array(table["completed"], dtype=bool)
     families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
     standard = _KIND in table and _LEVEL in table
@@ -219,8 +219,8 @@ def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
     family_groups = _groups(table, families, completed)
     return CampaignSummary(
         path=path,
-        runs=judged.num_rows,
-        unknown=rows.num_rows - judged.num_rows,
+        runs=judged_rows.num_rows,
+        unknown=rows.num_rows - judged_rows.num_rows,
         share=share_of(completed),
         groups=tuple(group for group, _ in groups),
         axis=axis,

@@ -121,8 +121,8 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
     half_period = shortest_period(content) / 2
     visits: list[Visit] = []
     for stop, (begin, end), arrival in zip(content.stops, stop_spans, arrivals, strict=True):
-        reached = int(np.searchsorted(clock, min(arrival + half_period, (begin + end) / 2)))
-        if reached >= len(clock) or (lost_tick is not None and reached > lost_tick):
+        halfway_tick = int(np.searchsorted(clock, min(arrival + half_period, (begin + end) / 2)))
+        if halfway_tick >= len(clock) or (lost_tick is not None and halfway_tick > lost_tick):
             break
         ticks_at_stop = np.flatnonzero((clock >= begin) & (clock <= end))
         if not ticks_at_stop.size:
@@ -155,11 +155,11 @@ def _due(plan: Reference, arms: int) -> list[float]:
         arms: number of arms.
     """
     times = np.arange(0.0, plan.duration, _GRID)
-    planned = [symbol.time for symbol in plan.content.symbols]
-    crossings = _crossings(times, plan.state(plan.mesh[0] + times)[:, :arms], plan, planned, carries=False)
+    stored_times = [symbol.time for symbol in plan.content.symbols]
+    crossings = _crossings(times, plan.state(plan.mesh[0] + times)[:, :arms], plan, stored_times, carries=False)
     return [
         crossing_time if crossing_time is not None else time
-        for crossing_time, time in zip(crossings, planned, strict=True)
+        for crossing_time, time in zip(crossings, stored_times, strict=True)
     ]
 
 
@@ -491,8 +491,8 @@ def shortfall(plan: Reference) -> Shortfall | None:
     if last_distance := last_gap(times, angles, plan, rate_hz=10 / _GRID):
         settled = content.lead_out >= _SETTLED
         return Shortfall(ShortfallCause.LAST_FAR, content, len(stops) - 1, last_distance, settled=settled)
-    matched = decode_run(times, angles, plan).matched
-    return Shortfall(ShortfallCause.NOT_DECODED, content, matched) if matched < len(stops) else None
+    matched_stops = decode_run(times, angles, plan).matched
+    return Shortfall(ShortfallCause.NOT_DECODED, content, matched_stops) if matched_stops < len(stops) else None
 
 
 def orbit_distance(states: Array, stop: PlanStop, plan: Reference) -> float:

@@ -340,7 +340,9 @@ def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], li
         end = digest.end
     ends = [*(time for time, _, _ in changes[1:]), end]
     spans = [
-        NightSpan(change[0], then, *change[1:]) for change, then in zip(changes, ends, strict=True) if then > change[0]
+        NightSpan(change[0], end_of_span, *change[1:])
+        for change, end_of_span in zip(changes, ends, strict=True)
+        if end_of_span > change[0]
     ]
     return spans, falls, endings
 

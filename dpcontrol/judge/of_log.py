@@ -283,8 +283,8 @@ def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: flo
         first: begin of the range, s.
         last: end of the range, s.
     """
-    overlapping = [way for way in transfers if way[1] > first and way[0] < last]
-    edges = [first, *(time for way in overlapping for time in way), last]
+    overlapping = [transfer for transfer in transfers if transfer[1] > first and transfer[0] < last]
+    edges = [first, *(time for transfer in overlapping for time in transfer), last]
     yield from ((begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if begin < end)
 
 

@@ -281,8 +281,8 @@ def lacking(log: RunLog) -> tuple[str, ...]:
     """
     if REFERENCE_ATTACHMENT not in log.attachments:
         return ("plan",)
-    needed = {REFERENCE: {"reference"}, CONTROL: {"control"}, ESTIMATE: {"estimate", "truth"}}
-    return tuple(topic for topic, parts in needed.items() if not parts & log.parts)
+    parts_by_topic = {REFERENCE: {"reference"}, CONTROL: {"control"}, ESTIMATE: {"estimate", "truth"}}
+    return tuple(topic for topic, parts in parts_by_topic.items() if not parts & log.parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,7 +402,7 @@ def score(log: RunLog) -> Score:
     plan = plan_of(log)
     truth_known = log.truth is not None
     errors = [event for event in log.events if event.level in ("error", "fatal")]
-    flown = Flown(
+    motion = Flown(
         time=log.time,
         states=log.estimate if log.truth is None else log.truth,
         reference_angles=log.reference[:, : len(log.arm_lengths)],
@@ -413,12 +413,12 @@ def score(log: RunLog) -> Score:
         stretches=stretches_of(log),
         hardest=_noted(log, HARDEST_METADATA, float),
     )
-    verdict = verdict_on(flown, plan)
-    counted_motion = spliced(flown, plan) if flown.stretches else flown
+    verdict = verdict_on(motion, plan)
+    counted_motion = spliced(motion, plan) if motion.stretches else motion
     tracking_error = counted_motion.angles - counted_motion.reference_angles
     falls = sum(event.name == RETURN and event.level == "warn" for event in log.events)
     real_time_factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
-    partial_fault = _part(log, flown, plan)
+    partial_fault = _part(log, motion, plan)
     completed = verdict.completed if truth_known and partial_fault is None else None
     if partial_fault is not None:
         verdict = replace(verdict, fault=partial_fault[0], figures=partial_fault[1])
@@ -432,8 +432,8 @@ def score(log: RunLog) -> Score:
         transfers_between=(_transfers(plan.content.symbols[: verdict.symbols]), _transfers(plan.content.symbols)),
         wraps=verdict.wraps,
         rms_tracking_error=float(np.sqrt(np.mean(tracking_error**2))),
-        max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
-        rms_cart_acceleration=float(np.sqrt(np.mean(flown.applied**2))),
+        max_cart_position=float(np.abs(motion.states[:, 2 * motion.angles.shape[1]]).max()) if log.has_cart else 0.0,
+        rms_cart_acceleration=float(np.sqrt(np.mean(motion.applied**2))),
         nis_inside_95=inside_95(log.control["nis"], sensors_of(log.measured)),
         real_time_factor=real_time_factor,
         verdict=verdict,
@@ -441,7 +441,7 @@ def score(log: RunLog) -> Score:
         thinking=_thinking(log),
         falls=falls,
         returned=returns(log.events),
-        attempts=_attempts(log, verdict.symbols, len(plan.content.symbols)) if flown.stretches else (),
+        attempts=_attempts(log, verdict.symbols, len(plan.content.symbols)) if motion.stretches else (),
         catches=sum(event.name == CATCH for event in log.events),
         judged_by="estimate" if log.truth is None else "truth",
         whole=partial_fault is None,
@@ -561,22 +561,25 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
 
     The order of the checks is that of the motion: start, symbols, wraps, limits, and the last orbit.
     """
-    content, matched, lost = plan.content, decoded.matched, decoded.lost
+    content, matched_stops, lost_tick = plan.content, decoded.matched, decoded.lost
     stops, symbols = content.stops, content.symbols
     short = plan.duration - float(flown.time[-1])
     early = {"short": short} if short > 1.5 / flown.rate_hz else {}
-    departure = {} if lost is None else {"far": float(flown.time[lost]), "follows": FOLLOWS}
+    departure = {} if lost_tick is None else {"far": float(flown.time[lost_tick]), "follows": FOLLOWS}
     first_stop = {"saddle": stops[0].saddle, **early}
-    if matched == 0 and lost is None:
+    if matched_stops == 0 and lost_tick is None:
         return Fault.AT_ONCE, first_stop
-    if matched == 0 and np.abs(flown.angles[0] - plan.state(plan.mesh[0])[: flown.angles.shape[1]]).max() < _BEGUN:
+    if (
+        matched_stops == 0
+        and np.abs(flown.angles[0] - plan.state(plan.mesh[0])[: flown.angles.shape[1]]).max() < _BEGUN
+    ):
         return Fault.FIRST_LEFT, {**first_stop, **departure}
-    if matched == 0:
+    if matched_stops == 0:
         return Fault.NOT_BEGUN, first_stop
-    if matched < len(stops):
-        return Fault.SYMBOL, {**symbol_figures(symbols, matched - 1), **departure, **early}
+    if matched_stops < len(stops):
+        return Fault.SYMBOL, {**symbol_figures(symbols, matched_stops - 1), **departure, **early}
     last_symbol = symbol_figures(symbols, -1)
-    if lost is not None:
+    if lost_tick is not None:
         return Fault.LAST_LEFT, {**last_symbol, **departure, **early}
     for k, (required, done) in enumerate(zip(content.wraps, decoded.wraps, strict=False)):
         if required is not None and required != done:

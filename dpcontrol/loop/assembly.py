@@ -175,15 +175,15 @@ class Assembly:
             goal_of(reach, targets, stay=stay, period=content.orbit(stop).period, rate=self.settings.rate)
             for stop, stay in zip(content.stops, self.stays, strict=True)
         ]
-        rest = hold_controller(np.zeros(model.dimension), model, HoldSettings(damping=0.0), seconds=4 * RESTING)
-        goals = (*stops, rest_goal(rest, limits))
+        rest_law = hold_controller(np.zeros(model.dimension), model, HoldSettings(damping=0.0), seconds=4 * RESTING)
+        goals = (*stops, rest_goal(rest_law, limits))
         briefing = Briefing(self.arms, self.settings.rate, model.lag, limits, goals)
         last_orbit = content.orbit(content.stops[-1])
         braking = ScheduledController(padded(braking_controller(self.arms, model).schedule(0), gains), "brake")
         return RecoveryPlan(
             model, braking, briefing, DirectPilot(briefing),
             tuple(stop.saddle for stop in content.stops), content.symbols,
-            last_orbit.curve[:, : model.arms], last_orbit.period, gains, padded(rest.schedule(0), gains), reach,
+            last_orbit.curve[:, : model.arms], last_orbit.period, gains, padded(rest_law.schedule(0), gains), reach,
             supervisor.on_fall == "restart", 1 if supervisor.on_fall == "stop" else supervisor.attempts, anywhere,
         )  # fmt: skip
 

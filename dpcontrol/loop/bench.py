@@ -736,12 +736,12 @@ def draw_bench(
     def within(name: str, most: float) -> Array:
         return generator(name).uniform(-most, most, n) if most else np.zeros(n)
 
-    lost, noisy = sensors.missed_counts * period, drive.command_noise
-    stream("command_noise", lambda source, count: source.standard_normal(count) * noisy, noisy)
+    loss, noise = sensors.missed_counts * period, drive.command_noise
+    stream("command_noise", lambda source, count: source.standard_normal(count) * noise, noise)
     stream("ages", lambda source, count: source.uniform(0.0, sensors.jitter, count), sensors.jitter)
     stream("dropped", lambda source, count: source.uniform(size=count) < sensors.dropout, sensors.dropout)
     # Whole counts with the right mean: the integer part, plus one with the probability of the rest.
-    stream("missed", lambda source, count: np.floor(source.uniform(size=(count, n)) + lost).astype(np.int64), lost)
+    stream("missed", lambda source, count: np.floor(source.uniform(size=(count, n)) + loss).astype(np.int64), loss)
     normal("noise", np.array([*[sensors.noise] * n, sensors.cart_noise]))
     normal("rate_noise", np.full(n, sensors.rate_noise))
     centre = unlike.plant or arms

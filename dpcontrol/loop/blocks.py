@@ -78,10 +78,17 @@ class Blocks:
         sensor_inputs += [reading.present[k], reading.measured[k - 1]]
         command = self._report[k + 1, self._ticker.program.equations.report.slices.command]
         drive_inputs = [command, self._command_noise[k], self._demands[k], state[k + 1], rig.drive_numbers]
-        sense, *sensor_buffers = bound(sensors, sensor_inputs, [reading.measured[k]])
-        act, *drive_buffers = bound(drive, drive_inputs, [self._demands[k + 1], self._acting[k + 1]])
+        read_sensors, *sensor_buffers = bound(sensors, sensor_inputs, [reading.measured[k]])
+        drive_call, *drive_buffers = bound(drive, drive_inputs, [self._demands[k + 1], self._acting[k + 1]])
         self._alive += [*sensor_buffers, *drive_buffers]
-        return self._steps[k], state[k + 1], sense, self._ticks[k, :inputs], self._ticks[k + 1, outputs:], act
+        return (
+            self._steps[k],
+            state[k + 1],
+            read_sensors,
+            self._ticks[k, :inputs],
+            self._ticks[k + 1, outputs:],
+            drive_call,
+        )
 
     def run(self, k: int, most: int, into: Ticks, first: int) -> int:
         """Compute ticks from k on, up to one with an outcome or news, and return their number.

@@ -88,7 +88,7 @@ def filter_of(settings: EstimatorSettings | OwnEstimator) -> Filter:
     Args:
         settings: settings of an estimator, built in or a user's.
     """
-    return next(one for one in FILTERS if isinstance(settings, one.settings))
+    return next(kind for kind in FILTERS if isinstance(settings, kind.settings))
 
 
 def filter_defaults(kind: str, law: "ControllerSettings", keep: str = "none") -> Mapping[str, Any]:
@@ -382,10 +382,10 @@ def _tvlqr(made: LawInputs) -> Controller:
     if made.keep != "none":
         # At ±5 %, 14 of 20 runs of a walk complete with feedback by phase, and 20 with this law.
         defaults = vars(TvlqrSettings())
-        changed = {
+        changed_settings = {
             name: value for name, value in vars(settings).items() if value != defaults[name] and name != "schedule"
         }
-        return adaptive_controller(reference, model, AdaptiveSettings(**changed), estimator=made.estimator)
+        return adaptive_controller(reference, model, AdaptiveSettings(**changed_settings), estimator=made.estimator)
     if made.stay is not None:
         orbit = kept_orbit(reference, made.stay, parameters)
         return orbit_controller(orbit, model, settings, seconds=reference.duration)
@@ -424,7 +424,7 @@ def law_of(settings: ControllerSettings) -> Law:
     Args:
         settings: settings of a controller.
     """
-    return next(one for one in LAWS if isinstance(settings, one.settings))
+    return next(kind for kind in LAWS if isinstance(settings, kind.settings))
 
 
 def make_controller(

@@ -165,7 +165,7 @@ class ControlLoop:
         late_ticks, quiet_until = 0, 0.0
         write_row, has_user_parts, noise, logged = rows.take, ticker.watched, self._rate_noise, ticker.program.logged
         clock, thinking = time.perf_counter, deque[float](maxlen=_THOUGHTS)
-        thought = thinking.append
+        store_thinking = thinking.append
         began = clock()
         blocks = None if recovery is not None else blocks_of(ticker, rig, noise)
         flush_every = max(1, round((_FLUSH_SECONDS if blocks is None else _FLUSH_BLOCKS) / period))
@@ -191,7 +191,7 @@ class ControlLoop:
                     break
                 started = clock()
                 report = ticker(k, reading, None if noise is None else noise[k])
-                thought(clock() - started)
+                store_thinking(clock() - started)
                 command_failure = None
                 try:
                     rig.command(report.command.item(0))
@@ -230,10 +230,10 @@ class ControlLoop:
                 elif not self._stopped:
                     self._emit_choices(done, recovery.follow_up(k, report, ticker, period))
                 if done == ticker.began + ticker.count:
-                    following = () if self._stopped else recovery.ended(k, ticker)
-                    if not following:
+                    choices = () if self._stopped else recovery.ended(k, ticker)
+                    if not choices:
                         break
-                    self._emit_choices(done, following)
+                    self._emit_choices(done, choices)
                 if self._stopped and report.done.item(0):
                     break
                 if done == self._until and not self._stopped:

@@ -149,12 +149,14 @@ class DirectPilot:
             model.parameters[:] = request.parameters
         self._planner = self._usual.with_parameters(request.parameters)
         goal, course = self.briefing.goals[request.goal].until(request.latest), request.course
-        coming = self._predicted(request)
-        if course is not None and self._lands(course, coming[-1], request.first + request.ticks - request.lead, goal):
+        predicted_states = self._predicted(request)
+        if course is not None and self._lands(
+            course, predicted_states[-1], request.first + request.ticks - request.lead, goal
+        ):
             self._answer = Answer(None)
             return
-        flights = self._planner.plan(coming[-1:], goal.target)
-        self._answer = Answer(self._followed(coming[:-1], flights, goal) if flights.reached[0] else None)
+        flights = self._planner.plan(predicted_states[-1:], goal.target)
+        self._answer = Answer(self._followed(predicted_states[:-1], flights, goal) if flights.reached[0] else None)
 
     def answer(self) -> Answer | None:
         """Return the answer to the last request."""
@@ -283,16 +285,16 @@ def pilot_beside(briefing: Briefing) -> Iterator[Pilot]:
         briefing: model, limits and goals.
     """
     context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    process = context.Process(target=_serve, args=(there, briefing), daemon=True)
+    pipe_end, far_end = context.Pipe()
+    process = context.Process(target=_serve, args=(far_end, briefing), daemon=True)
     with ignoring_interrupts():
         process.start()
-    there.close()
+    far_end.close()
     try:
         # It is ready once its code is compiled.
         with _ended_told():
-            here.recv()
-        yield _DistantPilot(here)
+            pipe_end.recv()
+        yield _DistantPilot(pipe_end)
     finally:
         process.terminate()
         process.join()

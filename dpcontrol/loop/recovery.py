@@ -334,13 +334,13 @@ class FallRecovery:
         velocity_index = 2 * self._arms + 1
         if self.motion is not Motion.ITINERARY:
             return {}
-        speed, planned = (
+        speed, reference_speed = (
             abs(report.state.item(velocity_index, 0)),
             ticker.references.item(k - ticker.began, velocity_index),
         )
-        if speed < self._plan.runaway_speed(planned):
+        if speed < self._plan.runaway_speed(reference_speed):
             return {}
-        return {"time": k * ticker.program.period, "fast": speed, "planned": abs(planned)}
+        return {"time": k * ticker.program.period, "fast": speed, "planned": abs(reference_speed)}
 
     def fell(
         self, k: int, cause: Cause, figures: Mapping[str, Any], ticker: Ticker, period: float
@@ -604,13 +604,13 @@ class FallRecovery:
         """
         # Arms at rest give constant readings, like a stuck sensor. After a time limit, the sensor is used again.
         ticks = k - self._began
-        stuck = (
+        is_stuck = (
             self._why is Cause.STUCK
             and ticks * period < _STUCK
             and ticker.program.memory.same[self._sensor - 1, 0] >= ticks
         )
-        lost = not report.mean_nis.item(0) <= ticker.program.numbers.lost_estimate.item(0)
-        if stuck or lost or report.silent.item(0):
+        is_lost = not report.mean_nis.item(0) <= ticker.program.numbers.lost_estimate.item(0)
+        if is_stuck or is_lost or report.silent.item(0):
             self._lost_at = k
             ticker.lose()
         return bool(report.done.item(0)) and (k - self._lost_at) * period >= _TRIED

@@ -734,17 +734,17 @@ class SimulatedRig(SimulatedBench):
         if k:
             self._pass(k - 1)
         self._tick = k
-        now, values = k * self.period, self._plant.values
+        time_s, values = k * self.period, self._plant.values
         if not math.isfinite(sum(values)):
-            raise ArithmeticError(f"plant failed at t = {now:.3f} s: its state is no longer finite")
+            raise ArithmeticError(f"plant failed at t = {time_s:.3f} s: its state is no longer finite")
         position = values[self._cart]
         switch = 0 if abs(position) < self._switch_at else 1 if position > 0 else -1
         # Encoders count, and lose counts, even if readings are dropped.
         measured = self._measured(k)
         if self._dropped is not None and self._dropped[k]:
-            return Reading(now, self._last, self._nothing, switch)
+            return Reading(time_s, self._last, self._nothing, switch)
         self._last = measured
-        return Reading(now, measured, None, switch, age=self._age(k))
+        return Reading(time_s, measured, None, switch, age=self._age(k))
 
     def command(self, acceleration: float) -> None:
         """Send the demanded acceleration of the cart.

@@ -419,9 +419,9 @@ class Ticker:
             k: tick.
         """
         if self._session is None:
-            frozen = self.references.copy()
-            frozen[k - self.began :] = frozen[k - self.began]
-            self.references = frozen
+            references = self.references.copy()
+            references[k - self.began :] = references[k - self.began]
+            self.references = references
 
     def brake(self, k: int) -> None:
         """Brake the cart to a standstill from the tick after k on, although the supervisor did not decide to.
@@ -455,9 +455,9 @@ class Ticker:
         self.begin()
         if self.whole:
             # `begin` has replaced some arrays, which the tick loads again.
-            begun = self.program.stored.copy()
+            first_memory = self.program.stored.copy()
             self(0, reading)
-            self.program.stored[:] = begun
+            self.program.stored[:] = first_memory
 
     def untrusted(self) -> Mapping[str, Any]:
         """Return name, share and trust of the parameter whose estimate left the range in which the law trusts it."""

@@ -814,8 +814,8 @@ def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: fl
         (first.label, second.label, paired(completed[rows_of_case(first)], completed[rows_of_case(second)]))
         for first, second in itertools.combinations(cases if len(cases) <= MOST_PAIRED else (), 2)
     )
-    simulated = sum(table["simulated_seconds"].to_pylist())
-    return Campaign(name, share_of(completed), results, pairs, seconds, simulated, table, file)
+    simulated_seconds = sum(table["simulated_seconds"].to_pylist())
+    return Campaign(name, share_of(completed), results, pairs, seconds, simulated_seconds, table, file)
 
 
 def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[Any]) -> tuple[Case, ...]:

@@ -55,9 +55,9 @@ def plan_flight(
         )
     flight = _flight(arms, state, target, limits)
     for name in ("position", "acceleration") if not flight.converged else ():
-        wider = replace(limits, **{name: _LONGER * getattr(limits, name)})
-        if _flight(arms, state, target, wider).converged:
-            return replace(flight, remedy=(name, getattr(wider, name)))
+        wider_limits = replace(limits, **{name: _LONGER * getattr(limits, name)})
+        if _flight(arms, state, target, wider_limits).converged:
+            return replace(flight, remedy=(name, getattr(wider_limits, name)))
     return flight
 
 

@@ -285,8 +285,8 @@ def replanned(plan: Plan, model: Model, errors: Array, *, progress: Progress = n
     for raised in RAISED:
         itinerary = of_learnt_arms(plan.itinerary, model, errors, raised=raised)
         try:
-            planned = make_plan(replace(itinerary, near=last_transfers), progress=progress).followed()
-            return replace(planned, itinerary=itinerary)
+            new_plan = make_plan(replace(itinerary, near=last_transfers), progress=progress).followed()
+            return replace(new_plan, itinerary=itinerary)
         except (GoalMissed, InputError) as error:
             reasons.append(str(error))
     raise GoalMissed(f"{plan.itinerary.name} has no plan for the learnt arms: {reasons[0]}")

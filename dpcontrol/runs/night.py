@@ -158,11 +158,11 @@ def night_cost(
     files = f"{night.files:,} file{'s' if night.files > 1 else ''} of {night.file_minutes:g} minutes"
     thinned = f", of which one in {night.keep_every} is kept" if night.keep_every > 1 else ""
     text = f"{cost.sentence}, and {size_text(disk)} of disk in {folder}: {files}{thinned}"
-    existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
-    free = shutil.disk_usage(existing).free
-    if disk + _SPARE_DISK > free:
+    existing_folder = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
+    free_bytes = shutil.disk_usage(existing_folder).free
+    if disk + _SPARE_DISK > free_bytes:
         raise InputError(
-            f"{text}; {size_text(free)} are free there: thin the logs with --keep-every, or give another --out"
+            f"{text}; {size_text(free_bytes)} are free there: thin the logs with --keep-every, or give another --out"
         )
     if not yes and (disk > MOST_DISK or (seconds > MOST_SECONDS and not real_time)):
         raise InputError(
@@ -387,17 +387,17 @@ def check_folder(folder: Path, record: Mapping[str, str], *, resume: bool, force
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder; a long run writes a folder: choose another --out")
     name = folder.resolve().name
-    existing = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
-    if existing and not resume and not force:
+    existing_files = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
+    if existing_files and not resume and not force:
         raise InTheWay(
             f"{folder} already holds a long run; continue it with --resume, choose another --out, or replace it "
             "with --force"
         )
-    if resume and not existing:
+    if resume and not existing_files:
         raise InputError(f"{folder} holds no long run to resume; omit --resume to begin one")
     for log in sorted(folder.glob(f"{name}-[0-9]*.mcap"))[-1:] if resume and record else ():
         check_same_run(log, record, also=(NIGHT_METADATA,))
-    return existing
+    return existing_files
 
 
 def _since(settings: LoopSettings, begin: float) -> LoopSettings:
@@ -436,11 +436,11 @@ def _place(
         for file in existing_files:
             file.unlink()
         return _Resumption()
-    for partial in partials_of(folder / name):
-        log = folder / f"{partial.name.partition('.mcap')[0]}.mcap"
+    for partial_log in partials_of(folder / name):
+        log = folder / f"{partial_log.name.partition('.mcap')[0]}.mcap"
         if not log.exists():
             try:
-                recover(partial, log)
+                recover(partial_log, log)
             except InputError as error:
                 # A session that ended before its first tick left no log to recover.
                 remark(f"{error}; the night continues without it")

@@ -199,11 +199,16 @@ def check_polishable(plan: Plan) -> None:
         InputError: one of the two fails.
     """
     content, itinerary = plan.content, plan.itinerary
-    rest = resting_place(itinerary.model.system)
+    resting_saddle = resting_place(itinerary.model.system)
     ends = [content.stops[k].saddle for k in (0, -1)]
     if content.polished:
         raise InputError(f"{itinerary.path} is polished already; polish the itinerary that it was made from")
-    if not content.symbols or ends != [rest, rest] or itinerary.start == "orbit" or content.segments:
+    if (
+        not content.symbols
+        or ends != [resting_saddle, resting_saddle]
+        or itinerary.start == "orbit"
+        or content.segments
+    ):
         raise InputError(
             f"{itinerary.path}: --polish needs a motion from rest to rest, and this one leads from {ends[0]} to "
             f"{ends[1]}; "

@@ -744,16 +744,18 @@ def hazards(plan: Plan, itinerary: Itinerary, *, most_delay: float) -> list[Haza
             or (python_plant and trouble.setting not in _WITH_OWN_PLANT)
         ):
             continue
-        first, end, shown = trouble.first, trouble.last, trouble.shown
+        first, end, display_factor = trouble.first, trouble.last, trouble.shown
         if trouble.in_periods:
-            first, shown = first * loop.rate, shown / loop.rate
+            first, display_factor = first * loop.rate, display_factor / loop.rate
             end = max(min(end * loop.rate, most_delay), 2 * value, 2)
         elif trouble.setting == "travel":
             # A reference whose cart stays at the centre needs some travel as well.
             end = max(reference_travel, 1e-3 * travel)
         step = 1.0 if trouble.in_periods or trouble.setting == "counts" else 0.0
         name = trouble.border.format(pushes=pushes or 2)
-        searches.append(Hazard(trouble, name, abs(value), first, end, shown, step, besides.get(trouble.setting, ())))
+        searches.append(
+            Hazard(trouble, name, abs(value), first, end, display_factor, step, besides.get(trouble.setting, ()))
+        )
     return searches
 
 
