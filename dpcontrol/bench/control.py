@@ -436,7 +436,7 @@ def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: floa
 
 
 def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, quick: bool) -> Diagram:
-    """Return the diagram of all estimators at one resolution of the encoders.
+    """Return the diagram of all estimators at one resolution of the encoders: error against the time of a tick.
 
     Args:
         arms: arms of the model.

@@ -111,6 +111,7 @@ def _place(panel: Diagram, point: Point) -> tuple[float, float]:
 def _points(panel: Diagram, looks: dict[str, Look]) -> Iterator[Layer]:
     """Yield the layers of a diagram: its front, lines of joined points, the points, and rings about defaults."""
     front = [] if panel.joined else [_place(panel, point) for point in panel.front]
+    # Between two points, the best error so far stays constant, so the front is a staircase.
     steps = [*front[:1], *(corner for (_, up), (x, y) in pairwise(front) for corner in ((x, up), (x, y)))]
     yield "best at its cost", steps, {"color": FAINT, "linewidth": 4}
     for method in dict.fromkeys(point.method for point in panel.points if panel.joined):

@@ -109,7 +109,8 @@ def reached(
 ) -> tuple[Reach, Target]:
     """Return the places of a reference by their costs-to-go, and as targets of flights.
 
-    `Reach` compares costs along the reference; `Target` scales them to 1 where the law saturates.
+    Recoveries compare costs along the reference (`Reach`). Flights need costs that are 1 where the law saturates
+    (`Target`).
 
     Args:
         reference: reference to follow.
@@ -141,7 +142,7 @@ def _levels(gains: Array, costs: Array, commands: Array, limits: Limits) -> Arra
 
 
 def hold_target(hold: HoldController, limits: Limits) -> Target:
-    """Return an equilibrium as a target with one place, which is scaled to 1 where its law saturates.
+    """Return an equilibrium as a target of flights with one place, whose cost is 1 where its law saturates.
 
     Args:
         hold: law that holds it.
@@ -178,7 +179,10 @@ def orbit_target(orbit: SustainedOrbit, model: SampledModel, settings: Quadratic
 
 
 def goal_of(reach: Reach, targets: Target, *, stay: tuple[float, float], period: float, rate: float) -> FlightGoal:
-    """Return the goal of a stop: places early in its stay, so that the feedback settles before the stay ends.
+    """Return a stop of the plan as a goal of flights.
+
+    Its places are early in the stay, so that the feedback settles before the stay ends, and within one period of its
+    orbit.
 
     Args:
         reach: places of the reference.
@@ -196,7 +200,9 @@ def goal_of(reach: Reach, targets: Target, *, stay: tuple[float, float], period:
 
 
 def rest_goal(hold: HoldController, limits: Limits) -> FlightGoal:
-    """Return the goal of arms that hang at rest, from which a flight to a stop is tried again.
+    """Return the goal of flights to arms that hang at rest.
+
+    From there, a flight to a stop is tried again after two that failed.
 
     Args:
         hold: law that holds them there.

@@ -279,7 +279,7 @@ class Ticker:
         return self.report
 
     def _estimated(self, estimator: Estimator, k: int, reading: Reading) -> tuple[Array, Array, Array]:
-        """Return the estimate of an estimator that replaces the compiled filter, for the second part of a tick.
+        """Return the estimate by an estimator that replaces the compiled filter, as input of the second part of a tick.
 
         Args:
             estimator: the replacement.
@@ -298,6 +298,7 @@ class Ticker:
         try:
             if k:
                 if self._own is not None:
+                    # A user's estimator receives the command, and the model the acceleration that acts.
                     self._own.sends(self.report.command.item(0))
                 estimate = estimator.step(last_estimate, self.report.acting.item(0), reading.positions, reading.present)
             else:

@@ -576,6 +576,7 @@ def transitions_of(plan: Plan) -> tuple[Plan, ...]:
     for k, transfer in content.transitions():
         symbol = content.symbols[k]
         name = f"{symbol.source} to {symbol.target}"
+        # The times alternate between ends and begins of transfers, so a part includes the holds beside its transfer.
         begin, end = transfer_times[2 * transfer], transfer_times[2 * transfer + 3]
         first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
         part_content = replace(

@@ -111,20 +111,24 @@ class Learnt(Documented):
 
 
 def coordinates(arms: ArmChainParameters, names: Sequence[str]) -> tuple[Array, Array]:
-    """Return the coordinates y₀ (m,) of a model, and their derivatives J (m, C) by its constant errors.
+    """Return the coordinates y₀ (m,) of a model, and their derivatives J (m, C) by the errors that a filter estimates.
 
-    In these coordinates, the logarithms of inertial ratios and the friction ratios, the errors act linearly.
+    Coordinates are the logarithms of the identifiable inertial ratios, then the friction ratios. In them, the filter's
+    relative errors of parameters act linearly, so its estimates and covariances can be converted.
 
     Args:
         arms: parameters of the model.
-        names: names of its constant errors (C,).
+        names: names of the model's constant errors (C,), which are the same in each run, see
+            `estimator_settings.constants`.
     """
     arms = with_laws(arms, (Friction.COULOMB,))
     labels, count = [name.partition("/")[0].replace("G", "S") for name in ratio_names(arms)], inertial_count(arms.count)
     ratio_of = dict(zip(labels, base_ratios(arms), strict=True))
     effects = {(label, label): 1.0 for label in labels[:count]}
     for i in range(1, arms.count + 1):
+        # The length of an inner arm is the ratio of a coupling M to a weight S.
         effects |= {(f"l{i}", f"M{i}{i + 1}"): 1.0, (f"l{i}", f"S{i + 1}"): -1.0}
+        # Errors of friction are relative to the model's; additional dry friction is relative to the weight.
         effects |= {(f"{law}_{i}", f"friction_{i}"): ratio_of[f"{law}_{i}"] for law in ("viscous", "coulomb")}
         effects[f"coulomb_{i}", f"dry_{i}"] = ratio_of[f"S{i}"]
     jacobian = np.array([[effects.get((label, name), 0.0) for name in names] for label in labels])
@@ -137,9 +141,10 @@ Estimate = tuple[Array, Array]
 
 
 def evidence(log: RunLog) -> tuple[list[str], Estimate, Estimate]:
-    """Return the names of a filter's constant errors, and the coordinates before and after its run.
+    """Return the names of a filter's constant errors, and its estimates of the model before and after a run.
 
-    Their difference in information is that of the run's readings.
+    Both estimates are coordinates with their covariance. Their difference in information (inverse covariance) is that
+    of the run's readings.
 
     Args:
         log: log of the run.
@@ -172,14 +177,14 @@ def caution(log: RunLog) -> float:
 
 
 def combined(before: Sequence[Estimate], after: Sequence[Estimate], cautions: Sequence[float]) -> Estimate:
-    """Return the coordinates from several runs, weighted by information (inverse covariances).
+    """Return the estimate from several runs, weighted by information (inverse covariances).
 
     The assumption of a run that began at the result of another one must not count twice. So each run adds the result of
     its filter, and subtracts its own assumption. Coordinates without a variance are those of the last run.
 
     Args:
-        before: coordinates that each run assumed.
-        after: coordinates after its run.
+        before: estimate that each run assumed, coordinates (m,) and covariance (m, m).
+        after: estimate after each run.
         cautions: factor on the variance that its readings leave, see `caution`.
     """
     values, covariance = (array.copy() for array in after[-1])
@@ -199,14 +204,14 @@ def combined(before: Sequence[Estimate], after: Sequence[Estimate], cautions: Se
 def learnt_arms(
     values: Array, covariance: Array, start: ArmChainParameters, names: Sequence[str]
 ) -> tuple[ArmChainParameters, Array, Array]:
-    """Return the arms nearest to a model's with learnt coordinates, and the covariances of ratios and of errors.
+    """Return the arms whose ratios are nearest to learnt coordinates, for a new model, with two covariances.
 
     The covariance (f, f) is that of the arms' ratios, (C, C) that of the constant errors of a filter with these arms.
 
     Args:
-        values: coordinates (m,).
+        values: learnt coordinates (m,), see `coordinates`.
         covariance: their covariance (m, m).
-        start: parameters of the model.
+        start: parameters of the old model, whose arms are the first guess.
         names: names of its constant errors (C,).
 
     Raises:
@@ -217,6 +222,7 @@ def learnt_arms(
     insignificant = dry_rows[
         (values[dry_rows] <= _SIGNIFICANT * np.sqrt(covariance[dry_rows, dry_rows])) & (not start.coulomb)
     ]
+    # Friction that is not significant is left out: the other values are conditioned on none.
     values = (
         values
         - covariance[:, insignificant]
@@ -241,7 +247,9 @@ def learnt_arms(
 
 
 def of_learnt_arms(itinerary: Itinerary, model: Model, errors: Array, *, raised: float = 1.0) -> Itinerary:
-    """Return the itinerary of the same motion of learnt arms, whose filter starts at a covariance.
+    """Return the itinerary of the same motion for learnt arms, whose filter starts at the learnt covariance.
+
+    Each energy keeps its height above the saddle below it, as a share of the energy from hanging to upright.
 
     Args:
         itinerary: itinerary of the runs.
@@ -268,7 +276,9 @@ def of_learnt_arms(itinerary: Itinerary, model: Model, errors: Array, *, raised:
 
 
 def replanned(plan: Plan, model: Model, errors: Array, *, progress: Progress = no_progress) -> Plan:
-    """Return the plan of the same motion for learnt arms, at the first of the energies that has one.
+    """Return the plan of the same motion for learnt arms, at the first of the raised energies that has one.
+
+    The arms' connections differ, so one that existed for the old model may not exist at the same height.
 
     Args:
         plan: plan of the runs.
