@@ -204,7 +204,7 @@ def three_body_panel(*, quick: bool) -> Diagram:
     system = load_model("three-body").system
 
     def search_connections() -> ConnectionSearch:
-        """Return the connections from L1 to L2, orbits included, as hiten computes them."""
+        """Return the connections from L1 to L2, orbits included: the task for which hiten was timed."""
         first, second = (lyapunov_orbit(system, name, energy=-1.5175) for name in ("L1", "L2"))
         return find_connections(first, second, hits=(2, 2))
 

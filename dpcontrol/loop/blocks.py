@@ -166,7 +166,8 @@ class Blocks:
 def blocks_of(ticker: Ticker, rig: Any, noise: StreamReader | None) -> Blocks | None:
     """Return the blocks for a run on this rig, which make it faster, or None if its ticks need Python.
 
-    Python is needed by rigs other than `SimulatedRig`, by faults and ages of readings, and by users' objects.
+    Python is needed by rigs other than `SimulatedRig`, by benches without a `kind`, by laws with an internal clock, and
+    by users' objects.
 
     Args:
         ticker: controller and filter of the run.

@@ -366,7 +366,7 @@ class ControlLoop:
     def _flush(self, until: int) -> None:
         """Send the rows of all ticks before tick `until` to the sink, except those that it has received.
 
-        Afterwards a killed run cannot lose them.
+        A killed run then loses later rows only.
         """
         first = self._flushed
         if until > first:

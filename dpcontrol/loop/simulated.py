@@ -622,7 +622,7 @@ class SimulatedRig(SimulatedBench):
         """Expression of a period, for blocks of ticks in machine code; None for a bench that needs Python.
 
         Python computes delays of fractional periods, readings with ages, faults during the run, modes of components,
-        and users' plants.
+        users' plants, and periods that are too long for one step.
         """
         plant, settings = self._plant, self._encoders.settings
         if self._fraction or self._ages is not None or self._missed is not None:

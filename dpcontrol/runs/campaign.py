@@ -213,7 +213,7 @@ def run_job(job: Job) -> list[Row]:
         mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
 
         def tick_by_tick(seed: int, mismatch: float) -> Row:
-            """Return the row of one seed that runs alone, with its recovery from falls."""
+            """Return the row of one seed that runs alone, without lockstep or after a departure from it."""
             events = Events()
             result = assembly.simulate(draw=assembly.draw(seed=seed, mismatch=mismatch), sink=events)
             row = _row(job, reference, seed, BatchRun.of(result), path="ticks")
@@ -252,7 +252,7 @@ def _assembled(job: Job) -> Assembly:
 
 
 def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:
-    """Return the row of one run for the table: its verdict and figures.
+    """Return the row of one run for the campaign's table: its verdict against the plan, and figures.
 
     Args:
         job: job of the run.
@@ -722,7 +722,7 @@ _ROW_BYTES = 1000.0
 
 
 def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettings) -> Cost:
-    """Return the estimated time and memory of a campaign on this machine, which decide if the user must agree."""
+    """Return the estimated time and memory of a campaign on this machine; the user must agree to a large one."""
     runs = settings.runs * len(cases) * len(plans)
     ticks = settings.runs * sum(case.loop.rate for case in cases) * sum(plan.reference.duration for plan in plans)
     seconds = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())

@@ -70,7 +70,7 @@ def _planner(arms: ArmChainParameters, limits: Limits) -> FlightPlanner:
 def _flight(
     arms: ArmChainParameters, state: Array, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
 ) -> Flight:
-    """Return the flight from a state (N,) to a target within limits, with the cause of a miss."""
+    """Return the best flight from a state (N,) to a target within limits; if it fails, it has the cause."""
     name, places = _places(arms, target, limits)
     planner = _planner(arms, limits)
     flights = planner.plan(state[None], places)
@@ -83,7 +83,7 @@ def _flight(
 def _places(
     arms: ArmChainParameters, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
 ) -> tuple[str, Target]:
-    """Return the name of a target, and its places where a law takes over with their costs-to-go."""
+    """Return the name of a target for texts, and its places: states at which a law can take over, with costs."""
     if isinstance(target, Plan):
         recovery = assembled(replace(target, itinerary=target.itinerary.with_run({"start": "anywhere"}))).recovery
         assert recovery is not None

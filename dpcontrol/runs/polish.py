@@ -228,8 +228,8 @@ def _key(plan: Plan) -> str:
 def _polished(plan: Plan, progress: Progress) -> Reference:
     """Return the polished reference of a plan, or the robust one with the reason in its status.
 
-    Each moving part has several candidates. They are combined from the least costly on, until the joined motion keeps
-    the walk and would be completed.
+    Each moving part has several candidates, the least costly first. They are joined until the motion keeps the walk and
+    would be completed.
     """
     robust, no_turns = plan.reference, np.zeros(plan.itinerary.model.arms.count)
     time_ranges = list(stretches(robust))
@@ -239,7 +239,7 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
     for count, k in enumerate(moving_parts):
         part_progress = part_of(progress, 0.8 * count / len(moving_parts), 0.8 * (count + 1) / len(moving_parts))
         candidates[k] = _searched(_problem(plan, parts[k]), parts[k], plan.itinerary.reference, part_progress)
-    # The least costly motion of each part comes first. Then the second best of one part replaces it.
+    # The least costly motions of all parts are tried first, then the second best of all.
     reason: Concluded | None = None
     candidate_of_part = dict.fromkeys(moving_parts, 0)
     while all(candidate < len(candidates[k]) for k, candidate in candidate_of_part.items()):

@@ -382,7 +382,7 @@ def bench_record(itinerary: Itinerary, bench: "OwnObject | RigLink | None" = Non
 
 
 def run_record(itinerary: Itinerary, bench: "OwnObject | RigLink | None" = None) -> dict[str, str]:
-    """Return the metadata that identify a run before it starts; see `bench_record`.
+    """Return the metadata that identify a run before it starts, by which a log of the same run is recognised.
 
     Args:
         itinerary: itinerary with the run's settings.
@@ -434,7 +434,7 @@ def outcome(result: LoopResult) -> dict[str, str]:
 def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
     """Return the values that are drawn once for a run as metadata of its log, among them the simulated plant.
 
-    Scores and views compare estimates with them.
+    Views compare the loop's estimates with them.
 
     Args:
         itinerary: itinerary with the seed of the run.
@@ -903,6 +903,8 @@ _HANGING = 600.0
 def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> BenchRecipe:
     """Return the recipe of the itinerary's simulated bench with hanging arms, for commissioning without a plan.
 
+    Another process makes the bench from it.
+
     Args:
         itinerary: arms, cart and settings of the bench.
         faults: wiring mistakes for practice, default none.
@@ -952,7 +954,9 @@ class RigLink:
     def connected(
         self, itinerary: Itinerary, recipe: BenchRecipe, *, ticks: int, what: str, loop: ControlLoop | None = None
     ) -> Iterator[tuple[PacketRig, BenchProcess | None]]:
-        """Yield the rig, and the example bench if there is one.
+        """Connect to the bench, check that it fits the itinerary, and yield the rig and the example bench, or None.
+
+        The connection, and the process of an example bench, end at exit.
 
         Args:
             itinerary: itinerary of the run.
@@ -1054,7 +1058,7 @@ def commission_rig(
 
 
 def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
-    """Return an itinerary's file, and its text with measured values in [run].
+    """Return an itinerary's file, and its text with measured values in [run], which commissioning then writes.
 
     For a shipped itinerary the file is a copy in the working folder's `itineraries`.
 
