@@ -141,7 +141,7 @@ class Diagram(Documented):
 
     @property
     def front(self) -> tuple[Point, ...]:
-        """Points on the front, fastest first."""
+        """Points on the front, fastest first: no other point is at most as slow and as wrong, and better in one."""
         competitors = self._running
         undominated = [
             point
@@ -429,10 +429,7 @@ class EdgeMap(Documented):
 
 @dataclass(frozen=True)
 class ChartPage(Documented):
-    """A page of `dpcontrol bench`.
-
-    It has a name for command line and files, a title, reading hints, the choice, and its diagrams or maps. A
-    chart that is drawn alone has a file.
+    """A page of `dpcontrol bench` with its diagrams or maps.
 
     Attributes:
         name: name on the command line and of the files.

@@ -175,9 +175,9 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
 
 
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
-    """Return a judge of runs that must hold an orbit to their end.
+    """Return a judge of runs that must hold an orbit: a function of a run, which is True if the run succeeds.
 
-    The last period is judged, by the least distance over phases and turns.
+    Each tick of the last period must be within `near` of some phase of the orbit, modulo whole turns.
 
     Args:
         orbit_angles: angles (M, n) along the orbit, rad.
@@ -204,7 +204,7 @@ def held_orbit() -> SustainedOrbit:
 
 
 def keeps(orbit: SustainedOrbit) -> Judge:
-    """Return a judge of runs that hold a sustained orbit, as `held` does, near its angles.
+    """Return a judge of runs that must hold a sustained orbit, by the distance of their angles in the last period.
 
     Args:
         orbit: orbit to hold.
@@ -519,7 +519,7 @@ def _nees(estimator: Estimator, estimate: Estimate, truth: Array, bias: Array, z
 
 
 def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Array:
-    """Return rates (m,) from two measurements of position.
+    """Return rates (m,) from two measurements of position, as an estimator without a model computes them.
 
         v_k = a v_{k-1} + (1 - a) (z_k - z_{k-1}) / T,      a = e^{-2π f T}
 
@@ -569,7 +569,7 @@ def _scaled(away: Array, n: int) -> Array:
 
 
 def noise_of(arms: ArmChainParameters, counts: int) -> Array:
-    """Return the estimators' noise covariance (n+1, n+1).
+    """Return the covariance (n+1, n+1) of the positions that encoders of a resolution measure, as filters assume it.
 
     Args:
         arms: n arms.

@@ -136,7 +136,9 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
 
 
 def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progress, *, quick: bool) -> Diagram:
-    """Return time and error of connection searches by distance of the seeds, first phases, chord and tolerance.
+    """Return the diagram of connection searches: time and error by the settings of the search.
+
+    These are the distance of the seeds, the number of first phases, the chord of the cuts, and the start of shooting.
 
     Args:
         orbit: orbit of the connections.
@@ -183,9 +185,9 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
 
 
 def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
-    """Return the states (N,) at intersections of two cuts without refinement, for seeds at a distance from the orbit.
+    """Return the states (N,) at which the cuts of two tubes intersect, without refinement.
 
-    Such states show the error that multiple shooting removes.
+    Such states show the error that multiple shooting removes. `distance` is that of the seeds from the orbit.
     """
     system, settings = orbit.system, ConnectionSettings(distance=distance)
     section = system.section_between(orbit.saddle, orbit.saddle)
@@ -291,7 +293,7 @@ def crossing_problem() -> ReferenceProblem:
 
 
 def transcribed(problem: ReferenceProblem, settings: ReferenceSettings) -> Solved:
-    """Return the program's solution from the problem's guess, on one even mesh.
+    """Return the solution of a problem on one even mesh, from the problem's guess, without refinement of the mesh.
 
     Args:
         problem: problem with a guess.

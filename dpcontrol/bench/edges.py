@@ -89,7 +89,7 @@ class LoopCase:
         return self._tried(replace(self.assembly, reference=reference, settings=settings))
 
     def driven(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
-        """Return the outcome of a trial whose drive deviates from the model, which the loop does not know.
+        """Return the outcome of a trial whose drive deviates from the model, without the loop's knowledge.
 
         Args:
             gain: gain of the drive.
@@ -104,7 +104,10 @@ class LoopCase:
         )
 
     def _tried(self, assembly: Assembly, most: float = math.inf) -> Attempt:
-        """Run all seeds of an assembly and return the outcome; feedback above `most` m/s² rms counts as a failure."""
+        """Run all seeds of an assembly, and return success if at least half of the runs end near their reference.
+
+        Feedback above `most` m/s² rms counts as a failure, because such a command swings.
+        """
         failures = [failure_of(run, near=self.near, most=most) for run in assembly.batch(range(self.seeds))]
         return half_of([Attempt(not failure, failure) for failure in failures], "runs lost")
 
@@ -454,7 +457,7 @@ def followed(itinerary: str, law: str, seeds: int) -> LoopCase:
 
 
 def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float) -> Border:
-    """Return the border of a margin, with its prediction.
+    """Return the border of a drive's gain, delay or lag at which half the runs are lost, beside the loop's margin.
 
     Args:
         name: gain_low, gain_high, delay or lag.

@@ -123,12 +123,12 @@ class Night(Shown, Documented):
         return self.failure and f"ended early: {self.failure}"
 
     def _time(self, *kinds: str) -> float:
-        """Return the total time of spans of these kinds, s."""
+        """Return the total time of spans of these kinds, s, such as that on the itinerary."""
         return sum(span.end - span.first for span in self.spans if span.kind in kinds)
 
     @property
     def known(self) -> float:
-        """Time with known activity, s."""
+        """Time with a log, s, to which shares and rates refer."""
         return sum(digest.end - digest.first for digest in self.digests)
 
     @property
@@ -216,7 +216,10 @@ class Night(Shown, Documented):
 
     @property
     def memory_growth(self) -> float:
-        """Final memory of the process relative to the session's first file, not-a-number if unknown."""
+        """Final memory of the process relative to the session's first file; a leak would end a long run.
+
+        The value is not-a-number if it is unknown.
+        """
         last_digest = self.digests[-1]
         memories = [
             digest.memory
@@ -297,7 +300,9 @@ class Night(Shown, Documented):
 
 
 def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[Event]]:
-    """Return the spans and falls of a night from the events of its digests, and the endings before the planned time.
+    """Return the spans, falls and early endings of a night, from the events of its digests in order.
+
+    Spans are the times on the itinerary, braking, in flight, and so on. Endings at the planned time are left out.
 
     Args:
         digests: digests in order.

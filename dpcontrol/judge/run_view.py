@@ -306,6 +306,7 @@ def _cart_acceleration(velocity: Array, time: Array) -> Array:
     steps = np.diff(time)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(steps > 0, np.diff(velocity) / steps, np.nan)
+        # A knock on the cart is a jump of the velocity, far beyond the drive's accelerations.
         typical_size = float(np.nanquantile(np.abs(mean), 0.99)) if np.isfinite(mean).any() else 0.0
         mean = np.where(np.abs(mean) <= 5 * typical_size + 1e-9, mean, np.nan)
     return np.append(mean, mean[-1])
@@ -325,9 +326,9 @@ def clean(values: Array) -> Array:
 
 
 def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
-    """Return measured positions and rates (N, 2n+2) in state order, without a cart (N, 2n).
+    """Return measured positions and rates (N, 2n+2) in the order of a state; without a cart (N, 2n).
 
-    Missing rates are differences within each segment.
+    Recordings from a bench have no estimates, so these are drawn. Missing rates are differences within each segment.
 
     Args:
         log: log of a run or a recording.

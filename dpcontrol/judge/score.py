@@ -274,7 +274,7 @@ def arms_in(log: RunLog, name: str) -> ArmChainParameters | None:
 
 
 def lacking(log: RunLog) -> tuple[str, ...]:
-    """Return the names of the parts that a score needs and a log lacks, for the sentence that explains its absence.
+    """Return the names of the parts that a score needs and a log lacks; a log without one of them is not judged.
 
     Args:
         log: log of a run or a recording.
@@ -354,8 +354,8 @@ def counted(stretches: Sequence[Stretch], *, rate_hz: float) -> list[tuple[NDArr
 def spliced(flown: Flown, plan: Reference) -> Flown:
     """Return the counted part of a run on the plan's clock: each stretch up to the restart of a later one.
 
-    Symbols completed before a fall remain completed; of a repeated part the last stretch counts. Whole turns by which
-    the arms were off the plan are removed.
+    A stretch is an interval on the itinerary between falls. Symbols completed before a fall remain completed; of a
+    repeated part the last stretch counts. Whole turns by which the arms were off the plan are removed.
 
     Args:
         flown: motion of a run with stretches.
@@ -528,7 +528,7 @@ def returns(events: Sequence[Event]) -> tuple[float, ...]:
 
 
 def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
-    """Return the number of attempts of each symbol, 0 for those not started.
+    """Return the number of attempts of each symbol, 0 for those not started, from the log's events.
 
     Args:
         log: log of a run that could recover.
@@ -559,7 +559,8 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
 def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
     """Return the fault that keeps a run from completing its plan, with the figures of its sentence.
 
-    The order of the checks is that of the motion: start, symbols, wraps, limits, and the last orbit.
+    The first check that fails counts, in the order of start, symbols, wraps, limits, end, and distance from the last
+    orbit. `decoded` is the part of the plan that the run has completed.
     """
     content, matched_stops, lost_tick = plan.content, decoded.matched, decoded.lost
     stops, symbols = content.stops, content.symbols
