@@ -216,9 +216,9 @@ class Night(Shown, Documented):
 
     @property
     def memory_growth(self) -> float:
-        """Final memory of the process relative to the session's first file; a leak would end a long run.
+        """Final memory of the process relative to the session's first file, not-a-number if unknown.
 
-        The value is not-a-number if it is unknown.
+        A leak would end a long run.
         """
         last_digest = self.digests[-1]
         memories = [

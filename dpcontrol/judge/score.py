@@ -168,9 +168,9 @@ class Score(Documented):
 
     @property
     def missed(self) -> str:
-        """Reason for which a run is not known to be completed, or ""; it decides the exit code.
+        """Reason for a run not known to be completed, or ""; on a rig, the symbols decide without the true state.
 
-        On a rig, the symbols decide without the true state.
+        The exit code of the verbs depends on it.
         """
         unfinished = self.symbols_completed != self.symbols_total or not self.whole
         if self.completed is False or (self.completed is None and unfinished):

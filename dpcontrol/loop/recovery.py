@@ -671,9 +671,9 @@ class Departures:
         self._plan, self._near, self._latest = plan, np.zeros(runs, dtype=bool), plan.empty_record()
 
     def lanes(self, k: int, report: Report, ticker: Ticker) -> NDArray[np.bool_]:
-        """Return True (S,) for runs in which a recovery would act at tick k.
+        """Return True (S,) for runs in which a recovery would act at tick k, which must leave the lockstep.
 
-        Such runs run away, are nearer to an earlier place, or missed the last stop.
+        Their cart runs away, they are nearer to an earlier place of the reference, or they missed the last stop.
 
         Args:
             k: tick.
@@ -688,6 +688,7 @@ class Departures:
             here = min(round(k / plan.reach.every), len(plan.reach.states) - 1)
             costs = plan.reach.costs_at(states.T, here)
             far = costs > _FAR
+            # As in `FallRecovery`, a run is caught only after it has been near its reference.
             self._near |= ~far
             for lane in np.flatnonzero(far & self._near & ~departs).tolist():
                 departs[lane] = plan.earlier_place(states[:, lane], here, costs.item(lane)) is not None

@@ -425,7 +425,7 @@ class Ticker:
             self.references = references
 
     def brake(self, k: int) -> None:
-        """Brake the cart to a standstill from the tick after k on, although the supervisor did not decide to.
+        """Brake the cart to a standstill from the tick after k on, by a decision of the recovery.
 
         Args:
             k: tick.

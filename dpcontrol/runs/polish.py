@@ -468,6 +468,7 @@ def _events(walk: list[PlanSymbol], angles: Array) -> list[tuple[int, int, int]]
     sections = [symbol.section for symbol in reversed(walk) if symbol.section is not None]
     values = {section.normal: section.value for section in sections}
     for number, (normal, value) in enumerate(values.items(), start=1):
+        # A change of the whole number of turns beyond the section's value is a crossing.
         turn = np.floor((angles @ np.asarray(normal[: angles.shape[1]]) - value) / (2 * np.pi)).astype(int)
         for row in np.flatnonzero(np.diff(turn)):
             direction = int(np.sign(turn[row + 1] - turn[row]))

@@ -253,7 +253,8 @@ def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
 def _beats(done: Sequence[bool], before: Sequence[bool]) -> bool:
     """Return True if a change completes runs significantly more often than the null group, compared pair by pair.
 
-    On neighbouring seeds, it must rescue at least as many runs as it loses.
+    The null group are the same runs without the change. On neighbouring seeds, the change must rescue at least as many
+    runs as it loses.
 
     Args:
         done: completed runs with the change, variants before neighbouring seeds.
@@ -276,9 +277,11 @@ def _judged(
 ) -> TriedChange:
     """Return a change with its verdict; if it beats the null group, the failed run is simulated again with it.
 
+    The null group are the same runs without the change.
+
     Args:
         change: the change.
-        done: completed runs with the change, none if they failed.
+        done: completed runs with the change, variants before neighbouring seeds; empty if they could not run.
         verdict: reason of the first run's verdict.
         before: completed runs of the null group.
         alone: function of options that returns the score of the failed run with them.
