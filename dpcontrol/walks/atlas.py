@@ -65,13 +65,14 @@ def walks(
         target: last node; any by default.
         length: number of connections.
     """
+    # The recursion takes one connection per level.
     if length == 0:
         if target in (None, source):
             yield ()
         return
-    for _, following, name in graph.out_edges(source, keys=True):
-        for rest in walks(graph, following, target=target, length=length - 1):
-            yield (name, *rest)
+    for _, next_stop, name in graph.out_edges(source, keys=True):
+        for later_names in walks(graph, next_stop, target=target, length=length - 1):
+            yield (name, *later_names)
 
 
 @dataclass(frozen=True)
