@@ -994,10 +994,10 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
         changes: events with the number of links gained at each.
         counts: searches at all values of the sweep, in order.
     """
-    weight = max((search.weight for search in counts), default=1)
+    weight = max((c.weight for c in counts), default=1)
     tolerance = 1e-8 * sweep.problem.course.scale
     groups: list[list[Change]] = []
-    for change in sorted(changes, key=lambda change: change.event.value):
+    for change in sorted(changes, key=lambda c: c.event.value):
         kind, value = change.event.kind, change.event.value
         same = (g for g in groups if g[0].event.kind == kind and abs(g[0].event.value - value) < tolerance)
         group = next(same, None)
@@ -1008,9 +1008,7 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
     events: list[Bifurcation] = []
     for group in groups:
         event = group[0].event
-        below, above = (
-            [search for search in counts if (search.value <= event.value) is side] for side in (True, False)
-        )
+        below, above = ([c for c in counts if (c.value <= event.value) is side] for side in (True, False))
         # The count restarts at each search, so that an unexplained interval has no effect on the rest.
         running = events[-1].count_above if events else 0
         if below and not (events and events[-1].value > below[-1].value):
@@ -1023,11 +1021,11 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
                 kind=event.kind,
                 point=sweep.place(event),
                 count_below=running,
-                count_above=running + weight * sum(change.gain for change in group),
-                at_least=not all(search.complete for search in [*below[-1:], *above[:1]]),
+                count_above=running + weight * sum(c.gain for c in group),
+                at_least=not all(c.complete for c in [*below[-1:], *above[:1]]),
                 state=event.state,
-                residual=max(change.event.residual for change in group),
-                connections=weight * sum(abs(change.gain) for change in group),
+                residual=max(c.event.residual for c in group),
+                connections=weight * sum(abs(c.gain) for c in group),
                 symmetric=sweep.problem.symmetry(event.link) is not None,
                 link=link,
             )
