@@ -118,7 +118,7 @@ def _kind(connection: Connection) -> tuple[Any, ...]:
 
 
 def _charts(states: Array, bases: Array, tilts: Array | None) -> list[dict[str, Any]]:
-    """Return charts as decimals, from nodes (K, N), bases (K, N, N) and tilts (K, 2), which one energy does not need."""
+    """Return charts as decimals, from nodes (K, N), bases (K, N, N) and tilts (K, 2); one energy needs none."""
     charts = [{"node": _decimals(state), "basis": _decimals(basis)} for state, basis in zip(states, bases, strict=True)]
     if tilts is None:
         return charts

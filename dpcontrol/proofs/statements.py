@@ -136,8 +136,10 @@ def _crossed(link: Mapping[str, Any], k: int, angles: int) -> str:
         f"is in the box about {_state(map(number, charts[int(claim['node']) - 1]['node']))}"
     )
     if len(claim["states"]) > 1:
-        nearest, *other_states = claim["states"]
-        sentence += f", nearer to {_state(_lifted(nearest, claim['turns']))} than to {counted(len(other_states), 'other state')}"
+        nearest, *others = claim["states"]
+        sentence += (
+            f", nearer to {_state(_lifted(nearest, claim['turns']))} than to {counted(len(others), 'other state')}"
+        )
     stop = _state(_lifted(claim["stop"], claim["stop_turns"])[:angles])
     return (
         sentence
