@@ -69,7 +69,7 @@ class Limits(Settings, table="limits"):
     ] = 0.0
 
     def named(self) -> dict[str, float]:
-        """Return {name: bound} of the existing bounds."""
+        """Return the bounds by name; the jerk is listed only if it is limited."""
         bounds = {"position": self.position, "velocity": self.velocity, "acceleration": self.acceleration}
         return {**bounds, "jerk": self.jerk} if self.jerk > 0 else bounds
 
@@ -194,7 +194,7 @@ class ReferenceProblem(Brief):
 
     @property
     def pendulum_dimension(self) -> int:
-        """Return 2n."""
+        """Number 2n of entries of the pendulum's state, without those of the cart."""
         return self.equations.dimension - 2
 
     def guess_at(self, times: Array) -> Array:
