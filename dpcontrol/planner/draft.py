@@ -67,7 +67,7 @@ class Draft:
 
     @property
     def wraps(self) -> list[int]:
-        """The wraps at the interior stops."""
+        """The wraps at the interior stops; while the text has an error, those that can be read."""
         return list(self.itinerary.wraps) if self.itinerary else _listed(self.values.get("wraps"), int)
 
     @property
@@ -184,7 +184,8 @@ def first_text(model: str) -> str:
 
 
 def read_draft(text: str) -> Draft:
-    """Parse a text, with errors stored in the result.
+    """Return the draft of a text; its first error is stored in the draft, so that the page can show it while the user
+    types.
 
     Args:
         text: itinerary in TOML.
@@ -198,9 +199,9 @@ def read_draft(text: str) -> Draft:
         model = fitting_model(str(values.get("model", "lab")))
         is_empty = values.get("walk") == [] and not values.get("wraps") and "parts" not in values
         # If the walk is empty, the other keys are validated with a placeholder symbol.
-        whole = with_values(text, "", {"walk": [f"{model.system.saddles[0]} +"]}) if is_empty else text
-        checked = itinerary_from(whole, _NAME, model)
-        itinerary = None if is_empty else checked
+        complete_text = with_values(text, "", {"walk": [f"{model.system.saddles[0]} +"]}) if is_empty else text
+        valid_itinerary = itinerary_from(complete_text, _NAME, model)
+        itinerary = None if is_empty else valid_itinerary
     except InputError as error:
         if values and model is None:
             error = InputError(str(error), key="model")
@@ -218,14 +219,15 @@ def line_of(text: str, error: InputError) -> int:
     """
     table, header, lines = "", 1, text.splitlines()
     for number, line in enumerate(lines, start=1):
-        begin = line.partition("#")[0].strip()
-        if begin.startswith("["):
-            table = begin.strip("[] ")
+        content = line.partition("#")[0].strip()
+        if content.startswith("["):
+            table = content.strip("[] ")
             header = number if table == error.table else header
-        elif table == error.table and begin.partition("=")[0].strip() == error.key != "":
+        elif table == error.table and content.partition("=")[0].strip() == error.key != "":
             return number
     return min(error.line, len(lines)) or header
 
 
 def _listed(value: Any, kind: type) -> list[Any]:
-    return [one for one in value if isinstance(one, kind)] if isinstance(value, list) else []
+    """Return the entries of this type in a value of the file, none if the value is no list."""
+    return [entry for entry in value if isinstance(entry, kind)] if isinstance(value, list) else []
