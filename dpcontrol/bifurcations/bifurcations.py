@@ -529,7 +529,7 @@ class Sweep:
         return searched, not unresolved
 
     def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
-        """Return the index of the point with this link, or None.
+        """Return the index of the point whose link is the given one, or None if none of them is.
 
         Args:
             link: link to find.
@@ -541,7 +541,7 @@ class Sweep:
         return int(np.argmin(distances))
 
     def count(self, point: PathPoint) -> int:
-        """Return the number of section crossings of a solved link.
+        """Return the number of section crossings of a solved link, computed once.
 
         Args:
             point: solution at its value.
@@ -617,7 +617,7 @@ class Sweep:
         return self._intervals[low, high]
 
     def explained(self, low: float, high: float) -> bool:
-        """Return True if an interval's cached explanation is up to date.
+        """Return True if `between` has an explanation of an interval that later finds have not invalidated.
 
         Args:
             low: lowest value of the interval, J.
@@ -875,7 +875,7 @@ def find_bifurcations(
     settings: SweepSettings | None = None,
     progress: Progress = no_progress,
 ) -> BifurcationSearch:
-    """Find the bifurcations of connections between two values of a quantity.
+    """Find the values of a quantity at which connections between two saddles appear, split or change.
 
     Args:
         course: followed quantity of systems of two degrees of freedom.

@@ -76,7 +76,7 @@ class Quantity:
 
     @classmethod
     def of_energy(cls, system: System) -> "Quantity":
-        """Return the energies of one system.
+        """Return the energy of a system as the quantity over which connections are followed.
 
         Args:
             system: system of any energy.
@@ -106,7 +106,7 @@ class Link:
         return np.array([*self.phases, self.duration])
 
     def at(self, unknowns: Sequence[float] | Array) -> "Link":
-        """Return the link with other phases and duration.
+        """Return the link between the same branches with other phases and another duration.
 
         Args:
             unknowns: φ_u, φ_s (1 for a period) and T, s (3,).
@@ -193,7 +193,7 @@ class LinkProblem:
         self.match: Callable[[Link, float], Match] = lru_cache(maxsize=16)(self._match)
 
     def section(self, value: float) -> Section:
-        """Return the section between the saddles.
+        """Return the section between source and target at a value of the followed quantity.
 
         Args:
             value: value of the followed quantity.
@@ -255,7 +255,8 @@ class LinkProblem:
         return self._manifolds[saddle, value]
 
     def manifolds(self, value: float) -> tuple[UnstableManifold, UnstableManifold]:
-        """Return the manifolds of source and target, one object if identical.
+        """Return the unstable manifolds of source and target, whose seeds begin the tubes; one object if they are the
+        same.
 
         Args:
             value: value of the followed quantity.
@@ -275,7 +276,7 @@ class LinkProblem:
         return state, stm @ slopes[0]
 
     def turned(self, states: Array, centre: Array) -> Array:
-        """Return the time-reversed states (…, N) about the target.
+        """Return time-reversed states (…, N) about the target's equilibrium, by which the stable tube follows.
 
         Args:
             states: states (…, N).
@@ -432,7 +433,7 @@ class LinkCurve:
         return equations
 
     def quantity(self, unknowns: Array) -> tuple[float, Array]:
-        """Return the followed quantity and its gradient.
+        """Return the followed quantity of a point on the curve, and its gradient (4,) by the unknowns.
 
         Args:
             unknowns: (φ_u, φ_s, T, H) (4,).
@@ -440,7 +441,7 @@ class LinkCurve:
         return float(unknowns[3]), np.array([0.0, 0.0, 0.0, 1.0])
 
     def bounds(self, guess: Array) -> Bounds:
-        """Return the lowest and highest unknowns near a guess.
+        """Return the lowest and highest unknowns (4,) that Newton's method may reach from a guess.
 
         Args:
             guess: (φ_u, φ_s, T, H) (4,).
@@ -449,7 +450,7 @@ class LinkCurve:
         return guess - reach, guess + reach
 
     def measure(self, unknowns: Array) -> dict[str, float]:
-        """Return the tangency σ.
+        """Return the tangency σ of a point on the curve, which continuation records at each step.
 
         Args:
             unknowns: (φ_u, φ_s, T, H) (4,).
@@ -534,7 +535,8 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
 
 
 def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps: int = 120) -> Path:
-    """Follow a connection through all turns until it arrives or returns.
+    """Follow a connection over the quantity, around all its turns, until it arrives at the goal or returns to its
+    start.
 
     Args:
         problem: matching of two tubes.

@@ -113,7 +113,7 @@ class Draft:
         return "" if self.itinerary is None else plan_key(replace(self.itinerary, name="", title=""))
 
     def document(self) -> dict[str, Any]:
-        """Return the draft's data for the page."""
+        """Return the draft as JSON values, which the page shows."""
         run = self.values.get("run")
         return {
             "model": self.values.get("model", "lab"),
@@ -131,7 +131,7 @@ class Draft:
         }
 
     def changed(self, table: str, values: dict[str, Any]) -> str:
-        """Return the text with changed values.
+        """Return the draft's text with changed values of keys, as the page's controls set them.
 
         Args:
             table: name of the table, "" for the top level.
@@ -175,7 +175,7 @@ class Draft:
 
 
 def first_text(model: str) -> str:
-    """Return the initial text for a model.
+    """Return the text with which a new page begins: an itinerary of a model without symbols.
 
     Args:
         model: name or path of the model.

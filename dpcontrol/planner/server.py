@@ -170,7 +170,7 @@ class Planner(AbstractContextManager["Planner"]):
 
 
 def _problem(model: str) -> str:
-    """Return the reason why a model cannot be used, or ""."""
+    """Return the reason why a model cannot be used in the planner, or "", for the page's list of models."""
     try:
         fitting_model(model)
     except InputError as error:

@@ -89,7 +89,7 @@ class PageSession:
         self._take(self._draft, model_message)
 
     def everything(self) -> list[str]:
-        """Return all messages for a newly loaded page."""
+        """Return all messages that a newly loaded page needs to show the present state."""
         # The count of commands restarts, because the old value belongs to the previous page.
         self._acknowledged = 0
         return [*self._shown.values(), _message("state", self.state())]
@@ -143,7 +143,7 @@ class PageSession:
             self._send_state()
 
     def do_name(self, name: str) -> None:
-        """Set the name of saved files.
+        """Set the name under which itinerary, log and film are saved.
 
         Args:
             name: at most 80 characters that are safe in a file name.
@@ -153,7 +153,7 @@ class PageSession:
         self._name = name
 
     def do_save(self) -> None:
-        """Save the itinerary and the log of its run, if any."""
+        """Save the itinerary as a TOML file, and the log of its last run, if there is one."""
         files = {"toml": self._target(_ITINERARIES / f"{self._name}.toml")}
         contents = {"toml": self._needed("text").encode()}
         if (run := self._made.get("run")) is not None:
@@ -166,7 +166,7 @@ class PageSession:
         self._set_message(f"saved {saved_files}; run it with `dpcontrol run {self._name}`", "good")
 
     def do_film(self) -> None:
-        """Write a film of the run."""
+        """Start the job that writes a film of the last run beside its log."""
         self._needed("log")
         film = self._target(_LOGS / f"{self._name}-{self._made['run']['seed']}.gif")
         self._work("film", "log", film=str(film))

@@ -31,7 +31,7 @@ _BEYOND, _BELOW = 0.1, 0.025
 
 
 def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -> list[list[int]]:
-    """Return positions (K, 2n+1) of pivot and joints in 0.1 mm.
+    """Return the positions (K, 2n+1) of pivot and joints in 0.1 mm, which the page draws as arms.
 
     Each row has the pivot's x, then x and y (upward) of each arm's end.
 
@@ -48,7 +48,7 @@ def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -
 
 
 def energies_of(model: Model) -> tuple[float, float, float]:
-    """Return the lowest, highest and initial energies of the slider, J.
+    """Return the lowest, the highest and the initial energy (J) that the page's slider offers for a model.
 
     Args:
         model: model of two arms.
@@ -84,7 +84,7 @@ def shown_model(model: Model) -> dict[str, Any]:
 
 
 def fitting_model(name: str) -> Model:
-    """Return a model of two arms.
+    """Return a model by name if the planner can use it, which means that it has two arms.
 
     Args:
         name: name or path of the model.
@@ -102,7 +102,7 @@ def fitting_model(name: str) -> Model:
 
 
 def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
-    """Return the data of an atlas: orbits, sections and connections.
+    """Return an atlas as JSON values, which the page draws: orbits, sections and connections.
 
     Args:
         atlas: atlas of the model.
@@ -183,7 +183,7 @@ def _symbols(connections: list[AtlasConnection]) -> dict[str, str]:
 
 
 def shown_plan(plan: Plan) -> dict[str, Any]:
-    """Return a plan's motion, cart path and times of symbols.
+    """Return a plan's motion, the cart's path and the times of symbols as JSON values, which the page plays.
 
     Args:
         plan: converged plan.
@@ -204,7 +204,7 @@ def shown_plan(plan: Plan) -> dict[str, Any]:
 
 
 def figures_of(plan: Plan) -> dict[str, Any]:
-    """Return a converged plan's figures and use of limits.
+    """Return the figures of a converged plan that the page shows, such as its effort and its use of limits.
 
     Args:
         plan: converged plan.

@@ -47,7 +47,7 @@ class Jobs:
         self._file, self._next = os.fdopen(handle, "w", encoding="utf-8"), 0.0
 
     def write(self, word: str, value: Any) -> None:
-        """Write one line.
+        """Write one report: a line of a word and JSON.
 
         Args:
             word: kind of the report.
@@ -57,7 +57,7 @@ class Jobs:
         self._file.flush()
 
     def progress(self, what: str, done: float) -> None:
-        """Report progress at a limited rate.
+        """Report a job's progress, at most 20 times a second.
 
         Args:
             what: label of the task.

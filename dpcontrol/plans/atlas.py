@@ -106,7 +106,7 @@ class AtlasSettings(Settings, table="atlas"):
 
 
 def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> str:
-    """Return the hash of an atlas's inputs, as 16 hexadecimal digits.
+    """Return the hash of an atlas's inputs (16 hexadecimal digits), which is its key in the cache.
 
     Args:
         model: model, or a conservative system.
@@ -436,7 +436,7 @@ def _status(
 
 
 def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
-    """Write an atlas atomically in the layout above.
+    """Write an atlas to one .npz file, in the layout of the module's text, and as a whole or not at all.
 
     Args:
         path: file, or a file in memory.
@@ -478,7 +478,7 @@ def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -
 
 
 def load_atlas(path: Path | IO[bytes]) -> Atlas:
-    """Read what `save_atlas` wrote.
+    """Return the atlas that a file of `save_atlas` holds.
 
     Args:
         path: file, or an open binary file.

@@ -60,7 +60,7 @@ def coarse(arms: int) -> Method:
 
 @lru_cache(maxsize=2)
 def shared_model(equations: Equations) -> SampledModel:
-    """Return a model that serves all arms of these equations.
+    """Return a sampled model that serves all arms of these equations, so that it is compiled once.
 
     Args:
         equations: equations with a cart.

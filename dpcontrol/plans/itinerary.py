@@ -369,7 +369,7 @@ class Itinerary:
         return replace(self, text=text, parts=(replace(stay, seconds=seconds),))
 
     def check_parts(self, planned: "Itinerary") -> None:
-        """Reject parts that differ from those of a plan.
+        """Reject an itinerary whose stay has another duration than in a plan, which would need a new plan.
 
         Args:
             planned: itinerary of the plan.
@@ -392,7 +392,7 @@ class Itinerary:
         return OwnPlant(user_object.name, user_object)
 
     def remark_on_rig(self, options: Collection[str] = ()) -> None:
-        """Emit remarks on numbers of the rig in doubtful units.
+        """Emit remarks on numbers of the rig that seem to be in another unit than the expected one.
 
         Args:
             options: tables and keys of settings that override those of the file, as in "[run] lag".
@@ -410,7 +410,7 @@ class Itinerary:
 
 
 def load_itinerary(name: str) -> Itinerary:
-    """Load an itinerary, and its model, by name or path.
+    """Return an itinerary and its model from a file, by name or path.
 
     A relative model path is taken from the itinerary's folder.
 
@@ -445,7 +445,7 @@ def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
 
 
 def planned_itinerary(content: PlanContent) -> Itinerary:
-    """Return the itinerary from whose texts a plan was made.
+    """Return the itinerary from which a plan was made, read from the texts that the plan stores.
 
     Args:
         content: content of the plan.
@@ -491,7 +491,7 @@ def itinerary_of(
 
 
 def itinerary_from(text: str, name: str, model: Model, *, plant: str = "") -> Itinerary:
-    """Return the itinerary of a file's text, under a name.
+    """Return the itinerary that a text in TOML describes, as if it were a file of this name.
 
     Args:
         text: text of a TOML file.
@@ -607,7 +607,7 @@ def _named_model(name: str, *, where: str, at: tuple[str, str], beside: Path | N
 
 
 def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path | None = None) -> Model:
-    """Return the model of a plant's own arms.
+    """Return the model of the arms that a simulated plant has instead of the itinerary's.
 
     Args:
         name: name or path of the file.

@@ -178,7 +178,7 @@ class ModelSystem(System):
 
 
 def model_of(system: System) -> Model:
-    """Return the model of a conservative system.
+    """Return the model from which a conservative system was made.
 
     Args:
         system: system that was made from a model.
@@ -349,7 +349,7 @@ def load_model(name: str | Path) -> Model:
 
 
 def model_from(text: str, name: str) -> Model:
-    """Return the model of a file's text, under a name.
+    """Return the model that a text in TOML describes, as if it were a file of this name.
 
     Args:
         text: text of a TOML file.
@@ -468,7 +468,7 @@ def _robot_text(robot: Robot, path: Path) -> str:
 
 
 def model_text(identification: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:
-    """Return the TOML text of identified arms.
+    """Return the text of a model file with identified arms, the source of each number and its uncertainty.
 
     Args:
         identification: result of the identification.
@@ -556,7 +556,7 @@ def _first_line(logs: Sequence[str], starting_model: str) -> str:
 
 
 def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str, force: bool = False) -> None:
-    """Reject a model file that was not identified from these logs.
+    """Reject a path at which there is a model file that was not identified from these logs, since writing destroys it.
 
     Args:
         path: file to write.
@@ -576,7 +576,7 @@ def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str
 def write_model(
     identification: "Identification", path: Path, *, title: str, logs: Sequence[str], starting_model: str
 ) -> Path:
-    """Write identified arms as a model file and return its path.
+    """Write identified arms as a model file, and return its path.
 
     Args:
         identification: result of the identification.
@@ -593,7 +593,7 @@ def write_model(
 
 
 def quoted(text: str) -> str:
-    """Return text as a TOML string on one line.
+    """Return any text as a TOML string on one line, with quotes.
 
     Args:
         text: any text.

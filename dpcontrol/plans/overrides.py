@@ -62,7 +62,7 @@ def paths() -> Mapping[str, Leaf]:
 
 
 def resolved(name: str) -> str:
-    """Return the path of a setting from its name.
+    """Return the path of a setting, such as "drive.lag", from a name, such as "lag" or "run.lag".
 
     Args:
         name: path of a setting, or its last part.
@@ -89,7 +89,7 @@ def resolved(name: str) -> str:
 
 
 def canonical(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings by their paths, each value of the setting's type.
+    """Return settings by their full paths, each value checked and of the setting's type.
 
     None keeps the itinerary's value.
 
@@ -113,7 +113,7 @@ def canonical(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parsed(name: str, text: str) -> Any:
-    """Return the value of a setting from its command-line text.
+    """Return the value of a setting from its text on the command line.
 
     Lists are written as in TOML; brackets and quotes can be left out.
 
@@ -134,7 +134,7 @@ def parsed(name: str, text: str) -> Any:
 
 
 def values_in(text: str) -> list[str]:
-    """Return the texts between commas, except those within brackets.
+    """Return the texts of several values of one setting, which commas separate except within brackets.
 
     Args:
         text: values of one setting, such as "0.1,0.2" or "[0.1,0.2],[0.2,0.1]".
@@ -158,7 +158,7 @@ def typed(settings: Mapping[str, Any]) -> str:
 
 
 def option_of(path: str) -> str:
-    """Return the option of a path in `NAMED`.
+    """Return the option of the command line that sets a path of `NAMED`, such as "--lag".
 
     Args:
         path: path of a setting.
@@ -167,7 +167,7 @@ def option_of(path: str) -> str:
 
 
 def settings_to_vary(typed: str = "") -> Sequence[str]:
-    """Return the completions of `--set` and `--over`.
+    """Return the texts that a shell offers as completions of `--set` and `--over`.
 
     Args:
         typed: the setting with the values before the one to complete, such as "controller=lqr,".

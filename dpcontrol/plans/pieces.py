@@ -139,7 +139,7 @@ def walk_goal(
 
 
 def stay_goal(itinerary: Itinerary, name: str, seconds: float, *, cart: float = 0.0, pace: Pace = "") -> Goal:
-    """Return the goal of staying at an equilibrium.
+    """Return the goal of a stay at an equilibrium for a given time.
 
     Args:
         itinerary: itinerary with the model.
@@ -203,7 +203,7 @@ def solve_pieces(
 
 
 def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndConditions) -> ReferenceProblem:
-    """Return the problem of following a guess with a cart.
+    """Return the problem of a reference with friction and cart that follows a guess.
 
     Args:
         itinerary: arms and limits.
@@ -237,7 +237,7 @@ def lifted(state: Array, lift: Array, cart: float = 0.0) -> Array:
 
 
 def lifted_guess(goal: Goal, lift: Array) -> Guess:
-    """Return the guess along a walk's shadowing orbit.
+    """Return the guess of a walk's reference: its shadowing orbit with turns added, as a function of time.
 
     Args:
         goal: goal of a walk.
@@ -542,7 +542,7 @@ class _Story:
 
 
 def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array) -> PlanContent:
-    """Return the content of a plan of solved pieces.
+    """Return the content of a plan (stops, symbols, orbits, transfers) from its solved pieces.
 
     Args:
         itinerary: itinerary of the pieces.

@@ -137,7 +137,7 @@ class Plan(ByReference, Timed, Documented):
         return file.getvalue()
 
     def followed(self) -> "Plan":
-        """Return the plan if its reference can be followed.
+        """Return the plan itself if its reference can be followed, for callers that need one.
 
         Raises:
             GoalMissed: it did not converge.
@@ -153,7 +153,7 @@ class Plan(ByReference, Timed, Documented):
 
 
 def plan_key(itinerary: Itinerary) -> str:
-    """Return the hash of a plan's inputs, as 16 hexadecimal digits.
+    """Return the hash of a plan's inputs (16 hexadecimal digits), which is its key in the cache.
 
     Args:
         itinerary: itinerary of the plan.
@@ -227,7 +227,7 @@ _PERIOD, _TRANSFER_LASTS = 0.7, 2.5
 
 
 def expected_seconds(itinerary: Itinerary) -> float:
-    """Estimate the duration of an itinerary before it is planned, s.
+    """Estimate the duration (s) of an itinerary's motion before it is planned.
 
     Args:
         itinerary: itinerary to plan.
@@ -246,7 +246,7 @@ def make_plan(
     workers: int = 1,
     yes: bool = False,
 ) -> Plan:
-    """Plan an itinerary, or return its plan from the cache.
+    """Return the plan of an itinerary, from the cache if possible.
 
     A reference that did not converge is returned with its status and not cached.
 

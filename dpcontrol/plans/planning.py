@@ -68,7 +68,7 @@ def planned(
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> Reference:
-    """Return the reference of an itinerary.
+    """Return the reference of an itinerary with the content of its plan, computed from connections to collocation.
 
     Args:
         itinerary: itinerary to plan.
@@ -382,7 +382,7 @@ def _flown(
 
 
 def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
-    """Return the orbit's state (2n+2,) at phase 0.
+    """Return a sustained orbit's state (2n+2,) at phase 0, with the whole turns of given angles.
 
     Args:
         orbit: the sustained orbit.

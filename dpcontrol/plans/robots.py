@@ -60,7 +60,7 @@ class Robot:
 
 
 def load_robot(path: Path) -> Robot:
-    """Return the arms of a robot.
+    """Return the arms of a robot that is described in URDF or MJCF.
 
     Args:
         path: file in URDF or MJCF.
@@ -150,7 +150,8 @@ def _plane(m: Any, pose: Any) -> tuple[Array, Array, Array, float]:
 
 
 def _arms(m: Any, pose: Any) -> Array:
-    """Return the numbers of the arms (n, 9).
+    """Return the numbers of a robot's arms (n, 9), from MuJoCo's model `m` and its state `pose` at the reference
+    positions.
 
     Mass, centre of mass, length, inertia, viscous and dry friction, angle, turn, and the distance of the centre of mass
     from the line between joints, m.

@@ -9,7 +9,7 @@ from dpcontrol.plans.model import FILE as MODEL
 
 
 def schema(of: str) -> dict[str, Any]:
-    """Return the JSON Schema of model or itinerary files.
+    """Return the JSON Schema of model or itinerary files, by which editors check and complete them.
 
     Args:
         of: "model" or "itinerary".
@@ -27,7 +27,7 @@ _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def schema_of(part: Leaf | Table | Choice | Tables) -> dict[str, Any]:
-    """Return the JSON Schema of a part of a file.
+    """Return the JSON Schema of a part of a file, from the declaration that also reads it.
 
     Args:
         part: setting, table, choice of tables or list of tables.

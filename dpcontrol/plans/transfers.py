@@ -211,7 +211,7 @@ def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, s
 
 
 def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Reference:
-    """Return a transfer from the best of its first motions.
+    """Return the reference of a transfer: of several solved first motions, the best one that can be refined.
 
     Args:
         wanted: the transfer.
@@ -348,7 +348,7 @@ def _between(motion: Reference, start: Array, ends: Sequence[Array] | Array) -> 
 
 
 def turned(reference: Reference, angles: Array) -> Reference:
-    """Return a reference with `angles` (n,) added.
+    """Return a reference with angles added to its states, such as whole turns, which leave its motion the same.
 
     Args:
         reference: the reference.
@@ -360,7 +360,7 @@ def turned(reference: Reference, angles: Array) -> Reference:
 
 
 def transfer_costs(transfers: Sequence[tuple[str, float, Reference]]) -> tuple[TransferCost, ...]:
-    """Return the costs of transfers.
+    """Return the time, effort and stroke of each transfer of a plan.
 
     Args:
         transfers: text, begin in s and motion of each transfer.

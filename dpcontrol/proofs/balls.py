@@ -61,7 +61,7 @@ def working(bits: int) -> Iterator[None]:
 
 
 def ball(value: Any) -> Any:
-    """Return a number as a ball, exactly if possible.
+    """Return a number as a ball of flint, exactly if it is a fraction or a double.
 
     Args:
         value: ball, fraction, or any number that converts to float.
@@ -81,7 +81,7 @@ def symmetric(radius: Any) -> Any:
 
 
 def largest(values: Sequence[Any]) -> Any:
-    """Return the largest modulus, 0 without values.
+    """Return the largest modulus of several balls as a ball, 0 without values.
 
     Args:
         values: balls (K,).
@@ -90,7 +90,7 @@ def largest(values: Sequence[Any]) -> Any:
 
 
 def folded(value: Any, period: Any) -> Any:
-    """Return a ball minus the nearest multiple of a period.
+    """Return a ball minus the multiple of a period that is nearest to its midpoint, to compare angles.
 
     Args:
         value: ball.
@@ -136,7 +136,7 @@ def number(text: Any) -> Any:
 
 
 def decimal(value: Fraction) -> str:
-    """Return the decimal digits of a fraction.
+    """Return all decimal digits of an exact number, as certificates hold it.
 
     Args:
         value: fraction with finitely many decimal digits.
@@ -157,7 +157,7 @@ def bound(value: Any, *, lower: bool = False) -> str:
 
 
 def columns(rows: Sequence[Sequence[Any]]) -> Any:
-    """Return a matrix of balls from its rows.
+    """Return a matrix of flint from rows of numbers or balls.
 
     Args:
         rows: numbers or balls (M, N).
@@ -234,7 +234,7 @@ class Instructions:
 
 
 def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: Sequence[Fraction]) -> Instructions:
-    """Return the program of casadi expressions with exact parameter values.
+    """Return the program that evaluates casadi expressions in ball arithmetic, with exact parameter values.
 
     Args:
         state: symbols (N,).

@@ -139,7 +139,7 @@ class Passage:
 
 
 def passage(field: Field, normal: Vector, height: Any, state: Vector) -> Passage:
-    """Enclose a section crossing of states at small height.
+    """Enclose the crossing of a section by all states of a box at small height above it.
 
     Args:
         field: programs of the system.

@@ -84,7 +84,7 @@ class CertificateCheck(Documented):
 
 
 def digest(certificate: Mapping[str, Any]) -> str:
-    """Return the digest of a certificate's content, excluding the digest itself.
+    """Return the digest of a certificate's content without its own entry, by which accidental changes are detected.
 
     Args:
         certificate: JSON values by key.
@@ -523,7 +523,7 @@ def _checked_network(flow: _Flow, data: Mapping[str, Any], progress: Progress) -
 
 
 def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> CertificateCheck:
-    """Check a certificate with the equations and integrator of this module.
+    """Return the verdict on a certificate, by the equations and the integrator of this module.
 
     Args:
         certificate: JSON values by key.
@@ -567,7 +567,7 @@ def _checked_pieces(data: Mapping[str, Any], progress: Progress) -> CertificateC
 
 
 def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck:
-    """Check the certificate in a file.
+    """Return the verdict on the certificate in a file.
 
     Args:
         file: JSON file of `prove --out`.
@@ -589,7 +589,7 @@ def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck
 
 
 def _trace_of_product(maps: Sequence[Any]) -> Any:
-    """Return an enclosure of the trace of a product.
+    """Return an enclosure of the trace of the flow's derivative over a closed orbit's period, from which λ follows.
 
     The factors are a closed orbit's derivatives (4, 4), the first one first.
 

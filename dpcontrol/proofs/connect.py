@@ -72,7 +72,7 @@ class Route:
     def claims(
         self, segments: Sequence[Sequence[int]], nodes: Sequence[int], rivals: Sequence[Connection] | None
     ) -> list[dict[str, Any]]:
-        """Return the claims on each symbol.
+        """Return the claims on each symbol that a certificate states and `check_symbols` proves.
 
         Each has its section, the segments from the middle of one stop to the middle of the next, and the marked node.
         Saddles are lifted by whole turns. If a stop had no wraps, it would last for `rest` s between marked nodes.
@@ -157,7 +157,7 @@ def _tilts(system: System, states: Array, bases: Array, stms: Array, ends: tuple
 
 
 def chart_of(data: Any) -> SectionChart:
-    """Return the chart of a node and a basis in decimals.
+    """Return the chart that a certificate holds as decimals.
 
     Args:
         data: node (N,) and basis (N, N).
@@ -187,7 +187,7 @@ def enclosure_of(surface: Surface, scale: Array, settings: FlowSettings) -> Encl
 
 
 def orbit_data(orbit: LyapunovOrbit, radius: float, *, tilted: bool) -> dict[str, Any]:
-    """Return charts, half-widths and durations of boxes around a periodic orbit.
+    """Return charts, half-widths and durations of boxes around a periodic orbit, each of which must cover the next one.
 
     Args:
         orbit: periodic orbit.
@@ -217,7 +217,7 @@ def _decimals(values: Array) -> Any:
 def link_data(
     route: Route, ends: Sequence[int], orbits: Sequence[Any], radius: float, rivals: Sequence[Connection] | None = None
 ) -> dict[str, Any]:
-    """Return charts, half-widths, durations and claims of a chain of boxes along a route.
+    """Return charts, half-widths, durations and claims of boxes along a route, each of which must cover the next one.
 
     Args:
         route: computed orbit.

@@ -223,7 +223,7 @@ class CoveringLink:
     after: Any
 
     def numbers(self, *keys: str) -> Iterable[int]:
-        """Return whole numbers of its data.
+        """Return the whole numbers that the link's data have under some keys, such as the indices of its orbits.
 
         Args:
             keys: their keys.

@@ -77,7 +77,7 @@ class Field:
 
     @classmethod
     def of(cls, system: System, parameters: Sequence[Fraction]) -> "Field":
-        """Return a system's programs at the working precision.
+        """Return the programs that evaluate a system's equations in ball arithmetic at the working precision.
 
         Args:
             system: system of two degrees of freedom.
@@ -91,7 +91,7 @@ class Field:
         return cls(make(rate), make(rate, jacobian), make(equations.hamiltonian, gradient), make(momenta))
 
     def matrix(self, entries: Vector) -> list[Vector]:
-        """Return the rows of Df from its entries in column-major order.
+        """Return the rows (N, N) of Df from its entries in column-major order, in which `slopes` returns them.
 
         Args:
             entries: entries of Df (16,).
@@ -99,7 +99,7 @@ class Field:
         return [[entries[i + 4 * j] for j in range(4)] for i in range(4)]
 
     def rates(self, state: Vector) -> Vector:
-        """Return f(x).
+        """Return the rates f(x) (N,) at a state.
 
         Args:
             state: balls or series (N,).
@@ -107,7 +107,7 @@ class Field:
         return self.rate(state)[0]
 
     def gradient(self, state: Vector) -> Vector:
-        """Return ∇H(x).
+        """Return the gradient ∇H(x) (N,) of the energy at a state.
 
         Args:
             state: balls or series (N,).

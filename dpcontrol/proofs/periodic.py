@@ -64,7 +64,7 @@ def enclose(
     settings: FlowSettings,
     progress: Progress = no_progress,
 ) -> list[ChartSegment]:
-    """Enclose all maps of a chain over boxes.
+    """Enclose the maps from chart to chart of a chain over boxes, in order.
 
     Args:
         surface: energy surface.
@@ -157,7 +157,7 @@ def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], b
 
 
 def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
-    """Return the multipliers, the unstable first, or None if not hyperbolic.
+    """Return enclosures of the Floquet multipliers λ and 1/λ of a closed orbit, or None if |λ| > 1 is not proved.
 
     The segments' derivatives are enclosed over boxes that contain the orbit.
 

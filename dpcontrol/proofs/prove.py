@@ -122,7 +122,7 @@ class Energies:
 
 
 def surface_of(system: System, energies: Energies) -> Surface:
-    """Return the energy surfaces of a system at the working precision.
+    """Return the surfaces of constant energy of a system, with exact parameters, at the working precision.
 
     Parameters are the decimals of the model's file, or else the shortest decimals that read as their doubles.
 
@@ -300,7 +300,7 @@ def prove_orbit(
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
 ) -> Proof:
-    """Prove existence, uniqueness and hyperbolicity of a periodic orbit.
+    """Prove that a periodic orbit exists, is unique nearby and is hyperbolic.
 
     Newton steps in balls refine the orbit's nodes. The theorem is then applied once with a ball of uniqueness.
     The period and the multipliers are enclosed over a ball that contains the orbit.
@@ -615,7 +615,7 @@ def network_stated(kind: str, routes: Sequence[Route]) -> str:
 
 
 def network_status(kind: str, angles: Sequence[str | None], claims: Mapping[str, Any]) -> str:
-    """Return the verdict on proved links.
+    """Return the verdict on proved links in words.
 
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".

@@ -19,7 +19,7 @@ EQUATIONS = {
 
 
 def energies_stated(middle: Fraction, within: Fraction) -> str:
-    """Return the words on the energies of a statement.
+    """Return the words on the energies that a statement holds for, one energy or an interval.
 
     Args:
         middle: an energy.
@@ -31,7 +31,7 @@ def energies_stated(middle: Fraction, within: Fraction) -> str:
 
 
 def interval(data: Mapping[str, Any]) -> tuple[Fraction, Fraction]:
-    """Return the least and the greatest energy of a certificate.
+    """Return the least and the greatest energy that a certificate covers.
 
     Args:
         data: content of the certificate by key.
@@ -50,7 +50,7 @@ def passing(count: int) -> str:
 
 
 def statement(data: Mapping[str, Any]) -> str:
-    """Return the statement of a certificate, a sentence per line.
+    """Return the statement that a certificate proves, composed from its numbers, a sentence per line.
 
     Args:
         data: content of the certificate by key.
@@ -225,7 +225,7 @@ def _distance(data: Mapping[str, Any], claim: Mapping[str, Any]) -> str:
 
 
 def _section(section: Mapping[str, Any]) -> str:
-    """Return a section's equation, with its condition if there is one."""
+    """Return a section's equation in the coordinates x1 … x4, with its condition if there is one."""
     normal, side = (
         " + ".join(f"{_exact(v)} x{i}" for i, v in enumerate(section[key], start=1) if fraction(v))
         for key in ("normal", "side")

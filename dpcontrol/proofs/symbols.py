@@ -53,7 +53,7 @@ def described(section: Any) -> dict[str, Any]:
 
 
 def period_of(section: Mapping[str, Any]) -> Any:
-    """Return the period of a section's normal coordinate.
+    """Return the period of a section's height as a ball: the distance of neighbouring sheets of the section.
 
     Args:
         section: numbers of `described`.
@@ -131,7 +131,7 @@ class Enclosed:
 
 
 def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
-    """Prove that an orbit follows its symbols.
+    """Prove that an orbit follows the symbols of a walk: their sections, connections, windings and wraps.
 
     An open orbit has no next mark after its last symbol, and therefore no wraps there.
 
@@ -197,7 +197,7 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
 
 
 def whole_number(rounds: Any) -> int:
-    """Return the nearest whole number of rounds.
+    """Return the whole number that is nearest to all numbers of a ball, such as the wraps of a stop.
 
     Args:
         rounds: ball.

@@ -258,7 +258,7 @@ class PlanContent:
         return min(self.saddles, key=lambda name: self.saddles[name].energy)
 
     def orbit(self, stop: PlanStop) -> PlanOrbit:
-        """Return the orbit of a stop.
+        """Return the orbit, or the equilibrium, at which a stop of the plan stays.
 
         Args:
             stop: one of the plan's stops.
@@ -330,7 +330,7 @@ def _plain(items: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def restored(notes: Mapping[str, Any], arrays: Mapping[str, Array], *, arms: int) -> PlanContent:
-    """Return the content that `stored` separated.
+    """Return a plan's content from the values and arrays of a file, the inverse of `stored`.
 
     Args:
         notes: its JSON values.
@@ -352,7 +352,7 @@ def restored(notes: Mapping[str, Any], arrays: Mapping[str, Array], *, arms: int
 
 
 def _without_none(value: Any) -> Any:
-    """Return JSON values without the null entries of objects."""
+    """Return JSON values without the null entries of objects, which stand for the defaults of fields."""
     if isinstance(value, Mapping):
         return {name: _without_none(part) for name, part in value.items() if part is not None}
     return [_without_none(part) for part in value] if isinstance(value, list) else value

@@ -151,7 +151,7 @@ def has_authority(problem: ReferenceProblem, times: Array) -> bool:
 
 
 def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> Obstacle | None:
-    """Return the limits that an unconstrained motion exceeds, or None.
+    """Return the cart's limits that a motion exceeds as an obstacle, or None if it exceeds none.
 
     Args:
         problem: limits of the cart.
@@ -421,7 +421,7 @@ def find_reference(
 
 
 def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Reference:
-    """Return a frictionless guess as a reference, cart at rest.
+    """Return the reference along a frictionless guess, whose cart stays at rest, without optimisation.
 
     The mesh is refined until the polynomials satisfy the equations within the tolerance. If the guess is not a motion
     of the arms, that is impossible and the status reports it.
@@ -450,7 +450,7 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
 
 
 def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
-    """Return a smooth guess, at rest at both ends.
+    """Return a guess that turns the arms smoothly from one state to another, at rest at both ends.
 
     Args:
         start: first state (2n,) of the arms, rad and rad/s.

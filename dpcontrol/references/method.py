@@ -58,7 +58,7 @@ class Method(Brief):
 
 
 def barycentric_weights(points: Array) -> Array:
-    """Return the weights (K,) of barycentric interpolation.
+    """Return the weights (K,) with which barycentric interpolation evaluates the polynomial through K points.
 
     Source: Berrut & Trefethen, Barycentric Lagrange interpolation, SIAM Review 46 (2004), eq. 3.2.
 
@@ -155,7 +155,7 @@ def lobatto(count: int, *, name: str = "") -> Method:
 
 
 def collocation_method(name: str, points: Array, *, order: int) -> Method:
-    """Return the method that collocates at given points.
+    """Return the collocation method with given points, from which its matrices and weights follow.
 
     Args:
         name: name of the method.
@@ -189,7 +189,7 @@ _FAMILIES = {"radau": (radau, 2), "gauss": (gauss, 1), "lobatto": (lobatto, 2)}
 
 @cache
 def method_named(name: str) -> Method:
-    """Return the method of a name.
+    """Return the collocation method that a setting names.
 
     Args:
         name: such as "radau-5", "gauss-4", "lobatto-4" or "hermite-simpson".

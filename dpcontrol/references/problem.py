@@ -105,7 +105,7 @@ class Scale:
         return self.length / self.time**2
 
     def state(self, arms: int) -> Array:
-        """Return the factors (2n+2,) on a state.
+        """Return the factors (2n+2,) that convert a state to the units of the laboratory's arms.
 
         Args:
             arms: number n of arms.
@@ -113,7 +113,7 @@ class Scale:
         return np.array([1.0] * arms + [1 / self.time] * arms + [self.length, self.length / self.time])
 
     def limits(self, limits: Limits, share: float = 1.0) -> Limits:
-        """Return a share of the cart's limits in the laboratory's units.
+        """Return the cart's limits, or a share of them, in the units of the laboratory's arms.
 
         Args:
             limits: limits of the cart.
@@ -198,7 +198,7 @@ class ReferenceProblem(Brief):
         return self.equations.dimension - 2
 
     def guess_at(self, times: Array) -> Array:
-        """Return the guess (K, 2n) at given times.
+        """Return the pendulum's states (K, 2n) of the guess at given times.
 
         Args:
             times: times (K,), s.

@@ -84,7 +84,7 @@ class Reference(Trajectory):
 
     @classmethod
     def of(cls, trajectory: Trajectory, limits: Limits, **about: Any) -> "Reference":
-        """Return a trajectory as a reference.
+        """Return a trajectory as a reference with limits and the figures of its search.
 
         Args:
             trajectory: motion with its input.
@@ -298,7 +298,7 @@ _LARGEST = 1e9
 
 
 def save_reference(path: Path | BytesIO, reference: Reference) -> None:
-    """Write a reference atomically, in the layout above.
+    """Write a reference to one .npz file, in the layout of the module's text, and as a whole or not at all.
 
     Args:
         path: path, or a file in memory.
@@ -359,7 +359,7 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
 
 
 def load_reference(path: Path | IO[bytes]) -> Reference:
-    """Read what `save_reference` wrote.
+    """Return the reference that a file of `save_reference` holds.
 
     Args:
         path: path, or an open binary file.

@@ -130,10 +130,13 @@ class SectionMap(Brief):
     response: Array
 
     def pulse(self, times: ArrayLike) -> Array:
-        """Return the pulse of height 1 (…), zero before and after.
+        """Return the half-sine pulse of height 1 that control on sections adds to the input, zero before and after it.
 
         Args:
             times: times (…) after the start's crossing, s.
+
+        Returns:
+            Values (…).
         """
         share = np.asarray(times, dtype=float) / self.duration
         return np.where((share >= 0) & (share <= 1), np.sin(np.pi * np.clip(share, 0.0, 1.0)), 0.0)
@@ -241,7 +244,7 @@ class SustainedOrbit(ByReference, Timed):
         return self.reference.state(np.mod(times, self.period))
 
     def input(self, times: ArrayLike) -> Array:
-        """Return the cart's acceleration (…), m/s².
+        """Return the cart's acceleration (…), m/s², that sustains the orbit, at any times.
 
         Args:
             times: any times (…), s.

@@ -95,7 +95,7 @@ class Trajectory(Brief):
 
 
 def even_mesh(duration: float, interval: float) -> Array:
-    """Return the mesh (N+1,) of equal intervals, s.
+    """Return the mesh (N+1,) of equal intervals, s, that are at most as long as given.
 
     Args:
         duration: length of the mesh, s.
@@ -105,7 +105,7 @@ def even_mesh(duration: float, interval: float) -> Array:
 
 
 def times_on(mesh: Array, places: Array) -> Array:
-    """Return the times (N, K) of places in each interval.
+    """Return the times (N, K) of the same places in each interval of a mesh, s.
 
     Args:
         mesh: ends of the intervals (N+1,), s.
@@ -151,7 +151,7 @@ _LOOK = 0.005
 
 
 def power_coefficients(points: Array, values: Array) -> Array:
-    """Return coefficients (…, K) of polynomials in powers of τ.
+    """Return the coefficients (…, K) in powers of τ of the polynomials through given values, lowest power first.
 
     Args:
         points: distinct points (K,).
@@ -303,7 +303,7 @@ class LimitUse:
 
 
 def limit_uses(trajectory: Trajectory, limits: Limits) -> tuple[LimitUse, ...]:
-    """Return each limit's bound, with the largest value and its time.
+    """Return the use of each of the cart's limits by a motion: bound, largest value and its time.
 
     Args:
         trajectory: motion.

@@ -149,7 +149,7 @@ def solver_options(settings: ReferenceSettings, *, search: Search = "fresh") -> 
 def interval_function(
     equations: Equations, parameters: Sequence[float], limits: Limits, method: Method, settings: ReferenceSettings
 ) -> ca.Function:
-    """Return the function of one interval, states scaled.
+    """Return the function that gives the constraints and the cost of one interval, in scaled states.
 
     It maps (start, values, inputs, length, guess) to (defects, end, cost, jerk). values (nx, K): at the support but for
     its first place; guess (nz, K): at the points.
@@ -271,7 +271,9 @@ class _Program:
             self._assemble_by_interval()
 
     def _assemble_by_interval(self) -> None:
-        """Build the program and its derivatives from those of one interval."""
+        """Build the program and its derivatives from those of one interval, which is faster than casadi's own
+        derivatives.
+        """
         equations, limits, n = self.problem.equations, self.problem.limits, self.intervals
         interval_program = _by_interval(
             equations, tuple(self.problem.parameters.tolist()), limits, self.method, self.settings, n

@@ -59,7 +59,7 @@ def rotating_names(system: System) -> list[str]:
 
 
 def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
-    """Return the named rotating orbit at an energy.
+    """Return the rotating orbit of this name at an energy, as a stop of walks.
 
     Args:
         system: system of two arms.
@@ -86,7 +86,7 @@ def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
 def rotating_connections(
     source: LyapunovOrbit, target: LyapunovOrbit, *, section: str | None = None
 ) -> ConnectionSearch:
-    """Find connections between a rotating orbit and a saddle orbit.
+    """Find connections between a rotating orbit and a saddle's orbit, on successive laps of the rotating orbit's tube.
 
     The tube of the rotating orbit is followed until it is large. If it does not meet the other tube there, up to
     three later crossings are searched.
@@ -205,7 +205,7 @@ class Edges(Shown, Documented):
 
     @checked
     def between(self, source: str, target: str) -> tuple[Connection, ...]:
-        """Return the connections from one saddle's orbit to another's.
+        """Return the connections that lead from one saddle's orbit to another's, or back to the same one.
 
         Args:
             source: saddle that the connections leave.
@@ -219,7 +219,7 @@ class Edges(Shown, Documented):
 
     @checked
     def leaving(self, saddle: str) -> tuple[Connection, ...]:
-        """Return the connections that leave a saddle's orbit.
+        """Return the connections that leave a saddle's orbit, which may follow a symbol that ends there.
 
         Args:
             saddle: saddle.
@@ -245,7 +245,7 @@ class TubeCuts:
         self._manifolds: dict[str, UnstableManifold] = {}
 
     def manifold(self, orbit: LyapunovOrbit) -> UnstableManifold:
-        """Return the local unstable manifold of an orbit."""
+        """Return the local unstable manifold of an orbit, on which its tube begins; computed once for each saddle."""
         if orbit.saddle not in self._manifolds:
             self._manifolds[orbit.saddle] = local_manifold(orbit, self.settings.distance)
         return self._manifolds[orbit.saddle]
@@ -253,7 +253,7 @@ class TubeCuts:
     def cut(
         self, orbit: LyapunovOrbit, section: Section, hit: int, *, budget: Budget, progress: Progress = no_progress
     ) -> Cut:
-        """Return the cut of a tube at a section crossing.
+        """Return the curves in which an orbit's unstable tube cuts a section at a crossing; computed once.
 
         Args:
             orbit: orbit of the tube.
@@ -293,7 +293,7 @@ class PairSearch(Brief):
 def orbits_at(
     system: System, families: Mapping[str, int], energy: float, *, required: bool = False
 ) -> tuple[list[LyapunovOrbit], list[tuple[str, str]]]:
-    """Return the Lyapunov orbits, and (saddle, reason) for missing ones.
+    """Return the Lyapunov orbits that exist at an energy, and (saddle, reason) for the missing ones.
 
     Args:
         system: dynamical system.
@@ -331,7 +331,7 @@ _HIT_BYTES = 1e8
 def searches_cost(
     pairs: Sequence[tuple[str, str]], hits: Sequence[tuple[int, int]], settings: ConnectionSettings
 ) -> Cost:
-    """Estimate the cost of searches for connections.
+    """Estimate the time and memory of searches for connections, for a message before long work.
 
     Args:
         pairs: names of source and target orbits.
@@ -356,7 +356,7 @@ def search_pairs(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> list[PairSearch]:
-    """Search for connections between pairs of saddles, cutting each tube once.
+    """Search for connections between pairs of saddles by intersecting their tubes, each of which is cut once.
 
     Of two opposite pairs, only one is searched if time reversal preserves the section.
 
@@ -368,6 +368,9 @@ def search_pairs(
         until_found: stop at the first hits with connections.
         yes: accept any duration.
         progress: called with a label and the completed share.
+
+    Returns:
+        Searches in order, one for each pair and hits, or fewer with `until_found`.
     """
     if pairs:
         announce(searches_cost(pairs, hits, tubes.settings), yes=yes)
@@ -409,7 +412,7 @@ def find_edges(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> Edges:
-    """Find the connections between saddle orbits at one energy.
+    """Return the connection graph at one energy, after a search for the connections between its orbits.
 
     Args:
         system: Hamiltonian system.

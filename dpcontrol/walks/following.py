@@ -121,7 +121,7 @@ class SymbolBranches:
         return self._found[energy]
 
     def chosen(self, energy: float) -> Connection | None:
-        """Return the connection selected at an energy, or None.
+        """Return the connection that the symbol selects at an energy, or None if there is none.
 
         Args:
             energy: energy, J.
@@ -132,7 +132,7 @@ class SymbolBranches:
             return None
 
     def followed(self, connection: Connection, energy: float) -> Connection | None:
-        """Return a connection continued to another energy, or None.
+        """Return the connection at another energy to which continuation leads, or None if it ends on the way.
 
         Args:
             connection: connection at its energy.
@@ -170,7 +170,7 @@ class SymbolBranches:
         return None
 
     def changes(self, low: float, high: float, *, progress: Progress = no_progress) -> tuple[SymbolChange, ...]:
-        """Return the changes of selection between two energies.
+        """Return the changes of the connection that the symbol selects, between two energies.
 
         Args:
             low: first energy, J.
@@ -230,7 +230,7 @@ def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[f
 def symbol_changes(
     system: System, symbols: Sequence[Symbol], energies: tuple[float, float], *, progress: Progress = no_progress
 ) -> tuple[SymbolChange, ...]:
-    """Return the energies at which symbols select another connection.
+    """Return the energies at which the symbols of a walk select another connection, and thus another motion.
 
     Args:
         system: dynamical system.

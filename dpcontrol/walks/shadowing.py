@@ -70,7 +70,7 @@ def phase_gap(before: Connection, after: Connection) -> float:
 
 
 def passage(before: Connection, after: Connection, wraps: int) -> float:
-    """Return the time (s) between two connections' section crossings.
+    """Return the time (s) from one connection's section crossing to the next one's, if the stop between has its wraps.
 
     It uses the asymptotic phases on the local manifolds. The attributes phase_in and phase_out refer to the nearest
     point at a distance of 1e-3, and differ from them by about as much.
@@ -152,7 +152,7 @@ def first_guess(
     settings: ShadowingSettings | None = None,
     strands: Strands | None = None,
 ) -> Guess:
-    """Return the initial guess: samples of connections, joined in mid-stop.
+    """Return the initial guess of a walk's orbit: samples of its connections, joined in the middle of each stop.
 
     Args:
         chain: connections of the walk.
@@ -357,11 +357,14 @@ class ShadowingOrbit(Timed, Documented, Concluded):
 
 
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:
-    """Return the number of wraps at each stop.
+    """Return the number of wraps that an orbit makes at each stop, from the time between section crossings.
 
     Args:
         connections: the walk. Stop k lies between connections k and k + 1.
         stays: times (S,) between the section crossings on either side of each of the S stops, s.
+
+    Returns:
+        Wraps (S,).
     """
     counts = []
     pairs = zip(connections, [*connections[1:], connections[0]], strict=True)
@@ -382,7 +385,7 @@ def shadow(
     strands: Strands | None = None,
     rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
-    """Return the orbit that follows `connections` in order.
+    """Return the orbit that follows the connections of a walk in order, with given wraps at the stops between them.
 
     Args:
         connections: connections of the walk.
@@ -534,7 +537,7 @@ MOST_WRAPS = 1_000_000
 
 
 def check_stops(chain: Sequence[Connection], wraps: Sequence[int] | None, *, periodic: bool) -> int:
-    """Return the number of stops, one more for a closed walk.
+    """Return the number of stops of a walk: one between neighbouring connections, and one more if it is closed.
 
     Args:
         chain: connections of the walk.
@@ -640,7 +643,7 @@ class WalkSolver:
         return orbit
 
     def least(self, chain: Sequence[Connection], *, periodic: bool = False) -> tuple[int, ...]:
-        """Return the fewest wraps at each stop that give an orbit.
+        """Return the fewest wraps at each stop with which a walk has an orbit.
 
         No single count can be reduced further.
 
@@ -687,7 +690,7 @@ class WalkSolver:
         return FewestWraps(tuple(wraps), None)
 
     def advice(self, orbit: ShadowingOrbit) -> FewestWraps:
-        """Return the fewest wraps of a failed walk.
+        """Return the fewest wraps with which a failed walk has an orbit, as advice in the message of the failure.
 
         Args:
             orbit: result that has not converged.

@@ -93,7 +93,7 @@ MOST_NESTED = 20
 
 
 def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
-    """Return the saddles, sense, hits and section that a symbol names.
+    """Return a symbol of a walk from its text: its saddles, sense, hits and section, or its parts if it is composite.
 
     Args:
         text: the symbol.
@@ -153,7 +153,7 @@ def _pieces(text: str) -> list[str] | None:
 
 
 def _grown(text: str, pieces: list[str], full: re.Match[str] | None, saddles: Sequence[str]) -> Symbol:
-    """Return the symbol of a composite edge.
+    """Return the symbol of a composite edge, such as "(A)·2·(B)", from its parts and the wraps between them.
 
     `pieces` are its texts outside and inside the brackets in turn, see `_pieces`. `full` matches the edge's full name,
     which begins with its saddles and winding, and is None if the text has brackets only.
@@ -219,7 +219,7 @@ _LIKE = 2.0
 
 
 def choose(symbol: Symbol, connections: "Sequence[Connection]", loss: Loss | None = None) -> "Connection":
-    """Return the connection that a symbol selects.
+    """Return the connection that a symbol selects among those between its stops at one energy.
 
     Args:
         symbol: selection by name, or by stops and sense.

@@ -320,7 +320,7 @@ def ways(stops: Sequence[str]) -> tuple[Symbol, ...]:
 
 
 def through(stops: Sequence[str], edges: Edges) -> Walk:
-    """Return the shortest walk that visits saddles in order.
+    """Return the shortest walk that visits saddles in order, with other stops between them if necessary.
 
     Each step uses the most transversal connection, preferably symmetric. A repeated stop gives a homoclinic connection.
 
@@ -361,7 +361,7 @@ def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
 
 
 def count_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> int:
-    """Return the number of walks of given length.
+    """Return the number of walks with a number of symbols on the connection graph.
 
     Args:
         edges: connections at one energy.
@@ -383,7 +383,7 @@ def count_walks(edges: Edges, length: int, *, source: str | None = None, target:
 def listed(
     edges: Edges, length: int, *, source: str | None = None, target: str | None = None, periodic: bool = False
 ) -> list[Walk]:
-    """Return every walk of given length.
+    """Return every walk with a number of symbols on the connection graph.
 
     Args:
         edges: connections at one energy.
@@ -414,7 +414,7 @@ def listed(
 
 
 def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, periodic: bool = False) -> Walk:
-    """Draw a walk with uniform probability.
+    """Draw a walk on the connection graph, such that all walks of this length are equally likely.
 
     Args:
         edges: connections at one energy.
@@ -567,7 +567,7 @@ def drawn_requests(
     periodic: bool,
     leads: tuple[int, int] = (2, 2),
 ) -> list[WalkRequest]:
-    """Draw `count` walks with random lengths and extra wraps.
+    """Draw `count` walks on the connection graph with random lengths and random wraps beyond the fewest possible.
 
     Args:
         edges: connections at one energy.
@@ -631,7 +631,7 @@ class WalkSelection:
         return [name for name in ("symbols", "through", "length", "random") if getattr(self, name)]
 
     def check(self, *, solve: bool, yes: bool) -> None:
-        """Reject contradictions, and announce long work.
+        """Reject contradictory selections, and announce long work before it begins.
 
         Args:
             solve: the walks' orbits are requested.
@@ -670,7 +670,7 @@ class WalkSelection:
         return parse_walk(self.symbols, vertex_names(system)) if self.symbols else ways(self.through)
 
     def requests(self, edges: Edges, *, solve: bool, yes: bool) -> tuple[WalkRequest, ...]:
-        """Return the selected walks of a graph.
+        """Return the selected walks of a graph, each with the wraps that its orbit must make.
 
         Args:
             edges: connections at one energy.
@@ -870,7 +870,7 @@ def _estimate(orbit: ShadowingOrbit) -> dict[str, Any] | None:
 
 
 def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: ExtendedOrbit | None = None) -> None:
-    """Write an orbit to a .npz file.
+    """Write the orbit of a walk to a .npz file, which numpy alone can read.
 
     The file has a `header` (JSON text) and these arrays:
 
