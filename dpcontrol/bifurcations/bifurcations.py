@@ -153,7 +153,7 @@ def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
 
 
 def _turn_from(problem: LinkProblem, extreme: PathPoint, before: Link, after: Link, reach: float) -> Located | None:
-    """Return the event of a turn between two links, solved from a neighbouring point, or None.
+    """Return the bifurcation at which a path turns back between two links, solved from a point beside it, or None.
 
     Args:
         problem: matching of two tubes.
@@ -552,7 +552,7 @@ class Sweep:
         return self._counts[key]
 
     def place(self, event: Located) -> tuple[float, float]:
-        """Return (q, p/p₀) at the section crossing or touch of an event.
+        """Return the point (q, p/p₀) at which an event is drawn on the section: its first crossing, or its touch.
 
         Args:
             event: located bifurcation or section artefact.
@@ -598,8 +598,8 @@ class Sweep:
         explained again.
 
         Args:
-            low: value of the first search, J.
-            high: value of the second search, J.
+            low: value of the first search.
+            high: value of the second search.
         """
         before, after = self.search(low), self.search(high)
         if (low, high) not in self._intervals:
@@ -620,8 +620,8 @@ class Sweep:
         """Return True if `between` has an explanation of an interval that later finds have not invalidated.
 
         Args:
-            low: lowest value of the interval, J.
-            high: highest value of the interval, J.
+            low: lowest value of the interval.
+            high: highest value of the interval.
         """
         return (low, high) in self._intervals
 
@@ -647,6 +647,8 @@ class Sweep:
 
         Connections are first carried from the lower value to the higher one. Those without a partner on the other side
         (`lost` and `born`) are then followed around their turns.
+
+        `before` is the search at the lower value of the followed quantity, and `after` the one at the higher value.
 
         Returns:
             The events, and connections that the searches should have found.
@@ -691,6 +693,8 @@ class Sweep:
         """Append the events along a followed path to `changes`, and the places where none was located to `gaps`.
 
         Only events that change the number of connections with the required crossings count.
+
+        A gap is the cause for which an event is missing. It keeps the sweep from claiming that the counts add up.
         """
         points, gap = path.points, partial(Gap, self.problem.course)
         counts = [self.count(p) for p in points]
@@ -968,7 +972,10 @@ def _beginning(
 
 
 def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
-    """Return True if the located events explain the change of the number of links between two searched values."""
+    """Return True if the located events explain the change of the number of links between two searched values.
+
+    The sweep halves an interval for which they do not.
+    """
     interval = sweep.between(low, high)
     # Searches are read last, because continuation may have added to them.
     before, after = sweep.search(low), sweep.search(high)

@@ -340,7 +340,7 @@ class LinkProblem:
         return MirrorMatch(miss, fold, shedding)
 
     def symmetry(self, link: Link, within: float = 1e-6) -> int | None:
-        """Return the index of the reverser that preserves the link, or None.
+        """Return the index of the time reversal (reverser) that maps a link to itself, or None if it is not symmetric.
 
         Args:
             link: solution.
@@ -353,7 +353,7 @@ class LinkProblem:
         return None
 
     def mirrored(self, link: Link, which: int) -> Link | None:
-        """Return the image of a homoclinic link under a reverser, or None.
+        """Return the image of a homoclinic link under a time reversal (reverser), or None for a heteroclinic link.
 
         Args:
             link: homoclinic link.
@@ -422,6 +422,9 @@ class LinkCurve:
 
         Args:
             guess: (φ_u, φ_s, T, H) (4,).
+
+        Returns:
+            Function of the unknowns (4,) to the scaled gap (N,) and its derivative (N, 4).
         """
         guessed, width = self.link.at(guess), np.array([1e-5 * self.scale])
         slope = differenced(lambda value: self.problem.match(guessed, float(value[0])).gap, guess[3:], width)
@@ -510,7 +513,7 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
     Args:
         problem: matching of two tubes.
         point: solution at its value.
-        goal: the other value, J.
+        goal: the other value.
         smallest: shortest step, as a share of the whole way.
     """
     distance = abs(goal - point.value)
@@ -541,8 +544,8 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
     Args:
         problem: matching of two tubes.
         link: connection solved at value `start`.
-        start: initial value, J.
-        goal: final value, J.
+        start: initial value of the followed quantity.
+        goal: final value.
         steps: largest number of steps.
     """
     way = goal - start
@@ -585,6 +588,8 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
 
 def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:
     """Return the point of a path on the plane halfway along the chord of two points and normal to it, or None.
+
+    It bisects a path around a turn, at which the path is no function of the followed quantity.
 
     Args:
         problem: matching of two tubes.

@@ -85,6 +85,8 @@ def growth_along(arms: ArmChainParameters, motion: Trajectory | Reference) -> fl
 def connection_loss(arms: ArmChainParameters, connection: Connection) -> float:
     """Return the largest gain on an arm's angle along a connection, m/s² per rad, infinite if none holds its end.
 
+    This is the loss by which a plan passes over connections that are hard to follow, see `walks.symbols.choose`.
+
     Args:
         arms: parameters of two arms.
         connection: connection of their flow without friction.

@@ -103,7 +103,9 @@ class Way:
         return np.array([1.0] * n + [-1.0] * n + [1.0, -1.0]) if self.backwards else np.ones(2 * n + 2)
 
     def target(self) -> Target:
-        """Return the last state in this direction with the cost-to-go of a feedback, 1 where that saturates.
+        """Return the goal of flights in this direction of time, with the cost-to-go of a feedback that keeps it.
+
+        The cost-to-go is scaled to 1 at the states in which this feedback begins to saturate.
 
         Raises:
             GoalMissed: it cannot be stabilised.

@@ -174,7 +174,11 @@ def _authority(arms: ArmChainParameters, reference: Reference) -> Iterator[Cauti
 
 
 def _gains(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
-    """Yield the cautions on gains that amplify hidden angles and errors at the start."""
+    """Yield the cautions on gains that amplify hidden angles and errors at the start.
+
+    The figures are shares of the drive's acceleration: the largest gain times the angles that the rig hides, and the
+    first gain times the error of the initial angles.
+    """
     loop, arms = itinerary.loop, itinerary.model.arms
     try:
         shares = peak_gains(arms, reference) / itinerary.limits.acceleration
@@ -194,7 +198,11 @@ def _gains(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
 
 
 def _late(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
-    """Yield the growth of errors until a command acts, and its part that the controller does not know."""
+    """Yield the cautions on delays: the growth of errors until a command acts, and its part unknown to the controller.
+
+    The figures are powers of e. The change of the first is a known lag, and that of the second halves the largest
+    delay.
+    """
     loop, rate = itinerary.loop, growth_along(itinerary.model.arms, reference)
     lag, belt = loop.drive.lag, loop.mechanics.belt
     delays = {

@@ -333,7 +333,7 @@ class Itinerary:
         return self.model.identified_uncertainty if self.loop.model_uncertainty else None
 
     def with_run(self, settings: Mapping[str, Any], *, seed: int | None = None) -> "Itinerary":
-        """Return the itinerary with some run settings replaced.
+        """Return the itinerary with some settings of its run replaced, as the options of a run do.
 
         Args:
             settings: new values by path.

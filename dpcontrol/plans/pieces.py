@@ -222,7 +222,7 @@ def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndC
 
 
 def lifted(state: Array, lift: Array, cart: float = 0.0) -> Array:
-    """Return a pendulum's state with a cart at rest.
+    """Return the state of arms and cart, with turns added to the arms' angles and the cart at rest.
 
     Args:
         state: state (2n,) of the pendulum.
@@ -371,7 +371,9 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
 
 
 def ways_round(apart: Array) -> list[Array]:
-    """Return the whole turns (n,) that bring arms together, in both directions for half a turn.
+    """Return the whole turns (n,) that a transfer may add to its end so that the arms go one way or the other.
+
+    An arm that is within a tenth of a whole number of turns has one candidate, and any other arm has two.
 
     Args:
         apart: distances (n,) of the arms, in turns.

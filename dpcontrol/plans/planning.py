@@ -185,7 +185,10 @@ _BESIDE, _BETWEEN = 0.01, 5
 
 
 def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> ShadowingOrbit:
-    """Return the walk of three arms along the connection nearest to the part's energy."""
+    """Return the walk of three arms along the connection nearest to the part's energy.
+
+    Connections of three arms exist at single energies only, so those of a small range of energies are searched.
+    """
     (symbol, *_) = parse_walk(part.walk, system.saddles)
     range_of_energies = _BESIDE * system.energy_scale
     lowest = equilibrium(system, symbol.source).energy
@@ -202,7 +205,10 @@ def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> Shado
 
 
 def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tuple[tuple[Connection, ...], WalkSolver]:
-    """Return the connections of a part's walk, and a solver that finds their shadowing orbits."""
+    """Return the connections of a part's walk, and a solver that finds their shadowing orbits.
+
+    If a connection does not exist, the error's message names energies at which all of them do.
+    """
     system = itinerary.model.system
     symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
@@ -283,13 +289,19 @@ def _kept_walk(
 
 
 def _early(flight: Goal) -> float:
-    """Return the periods from a flight's start to the departure of its first connection."""
+    """Return the periods from a flight's start to the departure of its first connection.
+
+    The stay before the flight is shorter by these periods, see `_periods`.
+    """
     first = flight.walk.connections[0]
     return (float(flight.walk.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
 
 
 def _late(flight: Goal) -> float:
-    """Return the periods from the arrival of a flight's last connection to the flight's end."""
+    """Return the periods from the arrival of a flight's last connection to the flight's end.
+
+    The stay after the flight is shorter by these periods, see `_periods`.
+    """
     last, end = flight.walk.connections[-1], flight.begin + flight.seconds
     return (end - float(flight.walk.symbol_times[-1]) - last.time_in) / last.target.period
 

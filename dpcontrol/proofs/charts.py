@@ -64,12 +64,15 @@ class SectionChart:
         return [ball(c) + u[i] * y[0] + s[i] * y[1] + w[i] * z for i, c in enumerate(self.node)]
 
     def lift(self, field: Field, energy: Any, y: Vector) -> tuple[Vector, Any]:
-        """Return the states of given energy over a box y, and z.
+        """Return the states of given energy over a box of coordinates y, in which the energy determines z.
 
         Args:
             field: programs of the system.
             energy: ball, in the system's unit.
             y: box (2,).
+
+        Returns:
+            Box of states (N,), and an interval that contains z.
 
         Raises:
             NotClosed: the interval Newton method does not prove a unique z.
@@ -86,7 +89,7 @@ class SectionChart:
         raise NotClosed("the energy does not fix a node's section")
 
     def tangents(self, field: Field, state: Vector) -> Any:
-        """Return ∂x/∂y and the change with the energy (N, 3) over a box of states.
+        """Return the derivatives (N, 3) of the chart's states by y_1, y_2 and the energy, over a box of states.
 
         Args:
             field: programs of the system.

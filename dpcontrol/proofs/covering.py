@@ -173,7 +173,7 @@ class OrbitBoxes:
 
 
 def orbit_boxes(data: Mapping[str, Any], enclosure: Enclosure) -> OrbitBoxes:
-    """Prove that boxes about a periodic orbit cover one another and have invariant cones.
+    """Return the boxes about a periodic orbit, after proving that they cover one another and have invariant cones.
 
     Args:
         data: charts, half-widths and durations.
@@ -232,7 +232,7 @@ class CoveringLink:
 
 
 def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], enclosure: Enclosure) -> CoveringLink:
-    """Prove that a chain of boxes leads from orbit to orbit, and that it follows its symbols.
+    """Return a chain of boxes from orbit to orbit, after proving that each covers the next one and its symbols hold.
 
     Args:
         data: source, target, leaves, joins, charts, widths, durations, turns and symbols.
@@ -345,7 +345,7 @@ class Network:
         )
 
     def fewest_wraps(self) -> list[list[int | None]]:
-        """Return the wraps of the shortest passage between each two links (L, L), None where they do not meet.
+        """Return the fewest wraps of a passage from each link to each other (L, L), None if they do not share an orbit.
 
         Raises:
             NotClosed: a duration does not determine its wraps, or orbits of different walks are not proved to separate.

@@ -181,13 +181,16 @@ def tangent(field: Field, x: list[Vector], order: int) -> list[Any]:
 
 
 def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> tuple[Any, Vector, Any] | None:
-    """Return a disc's radius ρ, ε (N,) and a bound on the flow's derivative (N, N), None if no enclosure closes.
+    """Return a disc of complex times on which a step's solutions are proved to be analytic, None if it does not close.
 
     Args:
         field: programs of the system.
         x: Taylor coefficients of the states, N rows.
         radius: radius of the disc in time, s.
         guess: first guess of ε (N,), or None.
+
+    Returns:
+        Radius ρ, distance ε (N,) of the solutions from their polynomials, and a bound (N, N) on the flow's derivative.
     """
     times, polynomials = [box * radius for box in _cover()], [c[: _ROUGH + 1] for c in x]
     slopes = [[c[k] * k for k in range(1, _ROUGH + 1)] for c in polynomials]

@@ -39,7 +39,7 @@ Chain = tuple[Leg, ...]
 
 
 def closed_chain(system: System, states: Array, durations: Array, turns: Sequence[int]) -> Chain:
-    """Return the legs of a closed orbit, the last of which has its whole turns.
+    """Return a closed orbit as a chain of legs from chart to chart, the last of which has its whole turns.
 
     Args:
         system: system of two degrees of freedom.

@@ -106,7 +106,7 @@ class Energies:
 
     @classmethod
     def of(cls, energy: Any, within: Any = 0) -> "Energies":
-        """Return energies whose numbers are the shortest decimals that represent the given ones.
+        """Return energies as exact numbers: the shortest decimals that represent given doubles.
 
         Args:
             energy: float, a number whose text is a decimal, or energies, which are returned.
@@ -576,6 +576,9 @@ def network_claims(network: Network, kind: str) -> dict[str, Any]:
     Args:
         network: proved links.
         kind: "connection", "walk", "horseshoe" or "graph".
+
+    Returns:
+        "wraps", "entropy" per time unit, and "least", the fewest wraps (L, L) between links; nothing for other kinds.
 
     Raises:
         NotClosed: orbits of different walks are not proved to separate.

@@ -297,7 +297,7 @@ class SustainedOrbit(ByReference, Timed):
         return end_values[..., :n], end_values[..., n]
 
     def over(self, begin: float, duration: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) over a time, which can pass the period's end.
+        """Return the linearised flow along the orbit, Φ (N, N) and Γ (N,), over a time that can pass the period's end.
 
         Args:
             begin: begin, s.
@@ -376,6 +376,8 @@ class SustainedOrbit(ByReference, Timed):
     def section_multipliers(self, count: int) -> NDArray[np.complex128]:
         """Return the multipliers (N-1,) of the section map over a period, largest first.
 
+        They tell the growth of a deviation over a period if the input's clock is reset at each section.
+
         Args:
             count: number of sections.
 
@@ -418,7 +420,7 @@ def sustained_orbit(
     settings: ReferenceSettings = SUSTAINED,
     progress: Progress = no_progress,
 ) -> SustainedOrbit:
-    """Continue a Lyapunov orbit to one of the same arms with friction and cart.
+    """Return the periodic orbit of arms with friction, kept up by a cart, that continues one of their Lyapunov orbits.
 
     If `converged` is False, do not use the result; `status` has the cause and a remedy.
 

@@ -128,7 +128,7 @@ class Solved:
 
 
 def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> Trajectory:
-    """Return the guess on the mesh, with the cart at rest in the middle.
+    """Return the guess as a trajectory on a mesh, with the cart at rest in the middle.
 
     Args:
         problem: problem with a guess.
@@ -163,6 +163,8 @@ def power_coefficients(points: Array, values: Array) -> Array:
 
 def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Array:
     """Return the largest scaled error in each interval (N,), infinite if the propagation fails.
+
+    Collocation fulfils the equations at its points only, so this error decides which intervals are split.
 
     Args:
         problem: equations and limits.

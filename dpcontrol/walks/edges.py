@@ -222,7 +222,7 @@ class Edges(Shown, Documented):
         """Return the connections that leave a saddle's orbit, which may follow a symbol that ends there.
 
         Args:
-            saddle: saddle.
+            saddle: name of the saddle.
 
         Raises:
             InputError: unknown saddle.

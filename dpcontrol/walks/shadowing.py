@@ -617,6 +617,8 @@ class WalkSolver:
     ) -> ShadowingOrbit:
         """Return the orbit of a walk with the given wraps.
 
+        The orbit is compared with all connections of the graph, and its wraps are remembered as sufficient.
+
         Args:
             chain: connections of the walk.
             wraps: periods at each stop.

@@ -118,6 +118,9 @@ def section_hits(
 ) -> tuple[int, int]:
     """Return (n_u, n_s), the crossing number of time zero counted from the start and from the end of an orbit.
 
+    At time zero, the unstable tube crosses the section for the n_u-th time, and the stable tube for the n_s-th time,
+    which are the hits of a connection.
+
     Args:
         orbit: orbit that crosses the section at time zero.
         section: the section.
@@ -220,7 +223,7 @@ def symmetric_walk(
 
 
 def resolve(texts: Sequence[str], edges: Edges, loss: Loss | None = None) -> Walk:
-    """Return the connections that the symbols of a walk select.
+    """Return the connections that the symbols of a walk select at one energy, one for each symbol.
 
     Args:
         texts: symbols of the walk.
