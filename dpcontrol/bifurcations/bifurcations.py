@@ -128,8 +128,7 @@ def _located(
 
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
-    """Return the saddle-node or pitchfork at which a path turns back after one of its points, or None if it is not
-    found.
+    """Return the saddle-node or pitchfork at which a path turns after one of its points, or None if it is not found.
 
     Args:
         problem: matching of two tubes.
@@ -454,8 +453,9 @@ class Sweep:
     """The problem of a sweep, with cached searches."""
 
     def __init__(self, course: Quantity, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
-        """Prepare searches over `course` for connections from `source` to `target` that cross their section `crossings`
-        times.
+        """Prepare searches for connections from `source` to `target` that cross their section `crossings` times.
+
+        `course` is the quantity over which they are followed.
         """
         self.problem = LinkProblem(course, source, target, distance=settings.search.distance)
         self.crossings, self.settings = crossings, settings
@@ -591,8 +591,7 @@ class Sweep:
         return branches
 
     def between(self, low: float, high: float) -> Interval:
-        """Return the events and unexplained changes between two neighbouring searches, from a cache if it is up to
-        date.
+        """Return the events and unexplained changes between two neighbouring searches, from the cache if possible.
 
         Connections that continuation reveals and a search has missed are added to that search. The interval is then
         explained again.
@@ -724,9 +723,7 @@ class Sweep:
                     changes.append(Change(event, gain * rising))
 
     def _distinct(self, changes: list[Change]) -> list[Change]:
-        """Return the changes without duplicates, since an event is found once from each of the connections that meet
-        there.
-        """
+        """Return the changes without duplicates, since each of the connections that meet at an event finds it."""
 
         def same(a: Located, b: Located) -> bool:
             near = abs(a.value - b.value) < 1e-7 * self.problem.course.scale
@@ -937,8 +934,7 @@ def find_bifurcations(
 def _beginning(
     course: Quantity, saddles: tuple[str, str], values: tuple[float, float], closest: float
 ) -> tuple[float, float | None]:
-    """Return the first value of a sweep, and the energy of the higher saddle if the sweep starts just above it, else
-    None.
+    """Return the first value of a sweep, and the energy of the higher saddle if the sweep starts just above it.
 
     A sweep of energies cannot start below the higher of its saddles, where orbits do not exist.
 

@@ -255,8 +255,7 @@ class LinkProblem:
         return self._manifolds[saddle, value]
 
     def manifolds(self, value: float) -> tuple[UnstableManifold, UnstableManifold]:
-        """Return the unstable manifolds of source and target, whose seeds begin the tubes; one object if they are the
-        same.
+        """Return the unstable manifolds of source and target, whose seeds begin the tubes; one object if both are one.
 
         Args:
             value: value of the followed quantity.
@@ -309,8 +308,7 @@ class LinkProblem:
         return Match(gap, jacobian, tangency, unstable_end)
 
     def mirror(self, link: Link, value: float, which: int) -> MirrorMatch:
-        """Return the distance of a connection's middle from a reverser's fixed set, with the functions a and b of its
-        events.
+        """Return the distance of a connection's middle from a reverser's fixed set, and the functions a and b there.
 
         Args:
             link: guess or solution.
@@ -538,8 +536,7 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
 
 
 def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps: int = 120) -> Path:
-    """Follow a connection over the quantity, around all its turns, until it arrives at the goal or returns to its
-    start.
+    """Follow a connection over the quantity, around all its turns, until it arrives at the goal or returns.
 
     Args:
         problem: matching of two tubes.

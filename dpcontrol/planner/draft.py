@@ -184,8 +184,7 @@ def first_text(model: str) -> str:
 
 
 def read_draft(text: str) -> Draft:
-    """Return the draft of a text; its first error is stored in the draft, so that the page can show it while the user
-    types.
+    """Return the draft of a text, in which its first error is stored for the page, since users type step by step.
 
     Args:
         text: itinerary in TOML.

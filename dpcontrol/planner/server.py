@@ -132,8 +132,7 @@ class Planner(AbstractContextManager["Planner"]):
         return response
 
     def _admits(self, query: str, headers: Any) -> bool:
-        """Return True if a request has the token in its query, this server as host, and no origin other than this
-        server.
+        """Return True if a request has the token in its query, this server as host, and no origin but this server.
 
         Other programs and pages in the user's browser are thus rejected.
         """
@@ -164,7 +163,7 @@ class Planner(AbstractContextManager["Planner"]):
         session.windows.discard(window)
 
     def _models(self) -> str:
-        """Return the message with the models that a page offers, each with the reason why it cannot be used, if any."""
+        """Return the message with the models that a page offers, each with the reason why it cannot be used, or ""."""
         names = dict.fromkeys([self._model, *shipped_names("models")])
         return json.dumps({"models": [{"name": name, "problem": _problem(name)} for name in names]})
 

@@ -218,9 +218,7 @@ class PageSession:
         return file
 
     def _note(self, kind: str, file: Path) -> None:
-        """Remember that the page saved a file of this kind ("toml", "log" or "film"), so that it may overwrite and show
-        it.
-        """
+        """Remember that the page saved a file of a kind ("toml", "log" or "film"), so that it may overwrite it."""
         self._written[file], self._saved[kind] = file.read_bytes(), str(file)
 
     # These commands restore the previous and the next text.
@@ -265,9 +263,7 @@ class PageSession:
             self._shown.pop(kind, None)
 
     def _look(self, *, again: bool = False) -> None:
-        """Start the job of the atlas for the text's model and energy, unless that atlas is shown or `again` requests
-        it.
-        """
+        """Start the job of the atlas for the text's energy, unless it is current; `again` starts it in any case."""
         draft = self._draft
         arguments = {"model": draft.values.get("model", "lab"), "energy": draft.energy}
         is_current = all(self._atlas.get(key) == value for key, value in arguments.items())

@@ -120,8 +120,7 @@ class Jobs:
         view_in_window(run_view(read_log(log)), Path(log).stem)
 
     def _planned(self, text: str, share: float = 1.0) -> Plan:
-        """Return the plan of a TOML text, from the cache if possible; planning takes the first `share` of the job's
-        progress.
+        """Return the plan of a TOML text, from the cache if possible, in the first `share` of the job's progress.
 
         Raises:
             InputError: the text has a mistake or no symbols.

@@ -247,8 +247,8 @@ def _connected(
         system: system of the orbits.
         orbits: orbits of the first family, by saddle.
         settings: contents of the atlas.
-        seconds: receives the durations of compilation, tubes and searches. The tubes are computed during the searches,
-            and their time is subtracted.
+        seconds: durations by stage, s, to which those of compilation, tubes and searches are added. The tubes are
+            computed during the searches, and their time is subtracted.
         yes: accept any duration.
         progress: receiver of progress reports.
 

@@ -122,8 +122,7 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory | Reference) -> flo
 
 
 def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, commands: Array) -> Array:
-    """Return the change E (K, N, p) of the state after each step per relative error of each of the p numbers of the
-    arms.
+    """Return the change E (K, N, p) of the state after each step per relative error of each of p parameters.
 
     Args:
         arms: parameters of the arms.

@@ -161,9 +161,7 @@ def hidden_angles(itinerary: Itinerary) -> dict[str, float]:
 
 
 def _authority(arms: ArmChainParameters, reference: Reference) -> Iterator[Caution]:
-    """Yield the feedback that each unstable stop needs, with the smallest mass at the outer tip that makes it small
-    enough.
-    """
+    """Yield the feedback that each unstable stop needs, with the smallest mass at the outer tip that helps."""
     for name, place in {stop.saddle: np.array(stop.angles) for stop in reference.content.stops}.items():
         if (need := arms.need(place)) is None:
             continue

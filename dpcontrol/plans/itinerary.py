@@ -81,8 +81,7 @@ def _part(part: Part, system: System) -> Part:
 
 
 def _expanded(part: WalkPart, saddles: Sequence[str]) -> WalkPart:
-    """Return a walk with its composite edges and repetitions written out, so that planning sees elementary symbols
-    only.
+    """Return a walk with its composite edges and repetitions written out as the elementary symbols to plan.
 
     Raises:
         InputError: a walk or wraps that are impossible at any energy.
@@ -106,8 +105,7 @@ def _expanded(part: WalkPart, saddles: Sequence[str]) -> WalkPart:
 
 
 def _law_table(kind: Any) -> Table:
-    """Return the table [controller] of a law, from which its settings and the name of the law that keeps the stops are
-    made.
+    """Return the table [controller] of a law, which makes its settings and the name of the law that keeps the stops.
 
     `kind` is the class of the law's settings.
     """
@@ -356,8 +354,7 @@ class Itinerary:
         return itinerary
 
     def _lasting(self, seconds: float) -> "Itinerary":
-        """Return an itinerary of a single stay with another duration (s), also in its text, so that a saved plan has
-        it.
+        """Return an itinerary of a single stay with another duration (s), also in the text that a plan stores.
 
         Raises:
             InputError: the itinerary has walks or several parts, or is that of an existing plan.
@@ -381,8 +378,8 @@ class Itinerary:
             raise InputError("seconds: the plan has another duration; change seconds in the file of the itinerary")
 
     def _plant(self, plant: Any) -> Any:
-        """Return the arms of a model's file, or the settings of a user's plant, which replace the model's arms in the
-        simulation.
+        """Return the arms of a model's file, or the settings of a user's plant, which are simulated instead of the
+        model.
         """
         if isinstance(plant, str) and not names_file(plant):
             return own_plant(plant, self.model.arms, where="plant").arms

@@ -500,8 +500,7 @@ class _Story:
             self._arrive(target, stop_state[:n] + lift, self._on(connection.target), symbol, wraps)
 
     def _arrive(self, name: str, angles: Array, orbit: int, symbol: PlanSymbol | None, wraps: int | None) -> None:
-        """Add a stop with the symbol that leads to it, or, without a symbol, replace the previous stop's orbit by a new
-        one.
+        """Add a stop with the symbol that leads to it; without a symbol, give the previous stop another orbit.
 
         Args:
             name: saddle or equilibrium.
@@ -534,9 +533,7 @@ class _Story:
         return list(self.orbits).index(key)
 
     def _at_rest(self, name: str) -> int:
-        """Return the index of an equilibrium among the plan's orbits, to which it is added as an orbit that does not
-        move.
-        """
+        """Return the index of an equilibrium among the plan's orbits, to which it is added on the first visit."""
         state = self.system.equilibrium(name)
         if (key := (name, float(self.system.numeric.hamiltonian(state)))) not in self.orbits:
             self.orbits[key] = PlanOrbit(*key, STILL, 1.0, np.vstack([state, state]))
@@ -600,9 +597,7 @@ def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begin
 
 
 def _connection_symbol(text: str, connection: Connection, crossing: Array, time: float) -> PlanSymbol:
-    """Return a connection as a symbol of a plan, crossed at a time (s) from the plan's start at a state (2n,), turns
-    included.
-    """
+    """Return a connection as a symbol of a plan, crossed at a time (s) of the plan and a state (2n,) with turns."""
     section = connection.section
     return PlanSymbol(
         text=text, source=connection.source.saddle, target=connection.target.saddle, time=time,

@@ -194,9 +194,7 @@ def _amounts(itinerary: Itinerary) -> dict[str, int]:
 
 
 def _extent(itinerary: Itinerary) -> tuple[int, int]:
-    """Return the number of periods in the walks of an itinerary and the number of its transfers, from which costs
-    follow.
-    """
+    """Return the numbers of periods and of transfers in an itinerary, from which the cost of planning follows."""
     ends = zip((itinerary.start, itinerary.finish), (itinerary.parts[0], itinerary.parts[-1]), strict=True)
     transfers_at_ends = (end == "rest" or (end == "hold" and isinstance(part, WalkPart)) for end, part in ends)
     transfers_between = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))

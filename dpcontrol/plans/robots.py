@@ -150,8 +150,7 @@ def _plane(m: Any, pose: Any) -> tuple[Array, Array, Array, float]:
 
 
 def _arms(m: Any, pose: Any) -> Array:
-    """Return the numbers of a robot's arms (n, 9), from MuJoCo's model `m` and its state `pose` at the reference
-    positions.
+    """Return the numbers of a robot's arms (n, 9), from MuJoCo's model `m` and its state `pose`.
 
     Mass, centre of mass, length, inertia, viscous and dry friction, angle, turn, and the distance of the centre of mass
     from the line between joints, m.

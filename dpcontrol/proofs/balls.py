@@ -251,9 +251,7 @@ def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: S
     steps: list[tuple[Callable[..., Any], int, tuple[int, ...]]] = []
 
     def applied(operation: Callable[..., Any], *arguments: int) -> int:
-        """Record an operation on numbered values, or compute it now if all are constants, and return its result's
-        index.
-        """
+        """Record an operation on numbered values, or compute it now if all are constants; return its result's index."""
         constant = all(constants[i] is not None for i in arguments)
         constants.append(operation(*[constants[i] for i in arguments]) if constant else None)
         if not constant:

@@ -151,9 +151,7 @@ class _Flow(ABC):
     angles: int
 
     def __init__(self) -> None:
-        """Start with the longest step; `pace` is the current step in s, and `left` the number of steps that a file may
-        still use.
-        """
+        """Start with the longest step `pace`, s; `left` is the number of steps that a file may still use."""
         self.longest, self.remainder = _LONGEST, _REMAINDER
         self.pace, self.left = self.longest, _MOST_STEPS
 
@@ -187,8 +185,7 @@ class _Flow(ABC):
         return identity() + flint.arb_mat(4, 4, [symmetric(v) for v in grown.entries()])
 
     def series(self, x: Sequence[Any], order: int, width: int) -> list[list[Any]]:
-        """Return Taylor coefficients in time of the states and of `width` columns of the flow's derivative from a box x
-        (4,).
+        """Return Taylor coefficients in time of the states from a box x (4,), and of columns of the flow's derivative.
 
         The 4 + 4 `width` lists hold order + 1 coefficients each: first the states, then the derivative row by row.
         """
@@ -255,8 +252,7 @@ class _Flow(ABC):
         return ahead(self.series(thin, _ORDER, 0), _ORDER, state_rest), flint.arb_mat(4, 4, growth) * carried, step_box
 
     def flight(self, x: Sequence[Any], spread: Any, duration: Fraction) -> tuple[list[Any], Any, list[list[Any]]]:
-        """Integrate a thin point and the derivative over its box for a duration, with steps that are halved until they
-        close.
+        """Integrate a thin point and the derivative over its box for a duration, with steps that are short enough.
 
         Args:
             x: thin point (4,).
@@ -289,9 +285,7 @@ class _Pendulum(_Flow):
     """Two arms as a system, with the constants A, B, C, G₁ and G₂ of the guide."""
 
     def __init__(self, data: Mapping[str, Any]) -> None:
-        """Compute the constants from the masses (kg), lengths (m), inertias (kg m²) and gravity (m/s²) of a
-        certificate's system.
-        """
+        """Compute the constants from a certificate's masses (kg), lengths (m), inertias (kg m²) and gravity (m/s²)."""
         super().__init__()
         keys = ("mass", "centre_of_mass", "length", "inertia")
         (m1, m2), (a1, a2), (l1, _), (j1, j2) = ([fraction(v) for v in data[key]] for key in keys)
@@ -330,9 +324,7 @@ class _ThreeBodies(_Flow):
         (self.mu,), self.angles = map(number, data["mass_ratio"]), 0
 
     def _pull(self, x: Sequence[_Dual]) -> list[tuple[Any, _Dual, _Dual]]:
-        """Return the mass, the distance along the x axis and the inverse distance of both primaries from a state x
-        (4,).
-        """
+        """Return the mass, the distance along x and the inverse distance of both primaries from a state x (4,)."""
         bodies = (1 - self.mu, x[0] + self.mu), (self.mu, x[0] + (self.mu - 1))
         return [(mass, offset, (offset.square() + x[1].square()).inverse_root()) for mass, offset in bodies]
 
@@ -362,9 +354,7 @@ class _Chart:
     """
 
     def __init__(self, flow: _Flow, data: Mapping[str, Any], energy: Any, within: Any) -> None:
-        """Read a chart's node and basis from a certificate; `energy` and `within` are the middle and the half-width of
-        energies.
-        """
+        """Read a chart from a certificate; `energy` and `within` are the middle and the half-width of its energies."""
         self.flow, self.node, self.within = flow, [number(v) for v in data["node"]], within
         self.tilt = [number(v) for v in data.get("tilt", "00")]
         self.basis = flint.arb_mat([[number(v) for v in row] for row in data["basis"]])
@@ -389,8 +379,7 @@ class _Chart:
         return [width + abs(change) * self.within for width, change in zip(widths, self.tilt, strict=True)]
 
     def height(self, widths: Sequence[Any]) -> Any:
-        """Return an interval that contains exactly one z of each energy for each y of a box of half-widths `widths`
-        (2,).
+        """Return an interval that contains exactly one z of each energy for each y in a box of half-widths (2,).
 
         Raises:
             NotClosed: the energy is not proved to determine z.
@@ -407,8 +396,9 @@ class _Chart:
         raise NotClosed("the energy does not determine the states of a box")
 
     def away(self, row: int, state: Sequence[Any], shift: Sequence[Any]) -> Any:
-        """Return coordinate `row` (0 and 1: y, 2: height over the plane, 3: z) of a state (4,) minus a shift (4,) of
-        whole turns.
+        """Return a coordinate of a state (4,) minus a shift (4,) of whole turns.
+
+        `row` selects it: 0 and 1 for y, 2 for the height over the plane, 3 for z.
         """
         return dot(self.rows[row], [x - c - t for x, c, t in zip(state, self.node, shift, strict=True)])
 
@@ -680,8 +670,7 @@ def _checked(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
 
 
 def _check_solution(matrix: Sequence[Sequence[Any]], residual: Sequence[Any], exists: Any) -> None:
-    """Prove by Newton–Kantorovich that the equations have a solution within the radius `exists` of the certificate's
-    numbers.
+    """Prove by Newton–Kantorovich that the equations have a solution within `exists` of the certificate's numbers.
 
     Args:
         matrix: derivative (M, M) of the equations over the ball of uniqueness.

@@ -120,8 +120,7 @@ class Enclosure:
 
 
 def forward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
-    """Return the cone of growing directions after a segment, as a ball of slopes, and the least growth of lengths in
-    it.
+    """Return the cone of growing directions after a segment, as a ball of slopes, and the least growth in it.
 
     Args:
         leg: segment.
@@ -132,8 +131,7 @@ def forward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
 
 
 def backward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
-    """Return the cone of shrinking directions before a segment, as a ball of slopes, and its least growth backward in
-    time.
+    """Return the cone of shrinking directions before a segment, as a ball of slopes, and its least backward growth.
 
     Args:
         leg: segment.
@@ -354,9 +352,7 @@ class Network:
         least_difference = 2 * reduce(lambda a, b: a.max(b), leg_times)
 
         def fewest(link: CoveringLink, other: CoveringLink) -> int | None:
-            """Return the wraps of the shortest passage from one link to another one, None if they do not share an
-            orbit.
-            """
+            """Return the wraps of the shortest passage from link to link, None if they do not share an orbit."""
             ((target, joins), (source, leaves)) = link.numbers("target", "joins"), other.numbers("source", "leaves")
             if target != source:
                 return None

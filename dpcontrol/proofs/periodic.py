@@ -137,8 +137,7 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> KantorovichBounds:
 
 
 def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], bounds: KantorovichBounds) -> Chain:
-    """Return the chain with its nodes moved by a Newton step and its durations up to their sections, rounded to
-    decimals.
+    """Return the chain after a Newton step, with the durations up to the moved sections, rounded to decimals.
 
     Args:
         surface: energy surface.

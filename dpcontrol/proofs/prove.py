@@ -142,8 +142,7 @@ def surface_of(system: System, energies: Energies) -> Surface:
 
 
 def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -> Proof:
-    """Return the proof that `work` computes at a precision, or the verdict "not proved" with the step that does not
-    close.
+    """Return the proof that `work` computes at a precision, or a verdict with the step that does not close.
 
     Args:
         kind: kind of the proof.
@@ -368,9 +367,7 @@ def prove_orbit(
 
 
 def _unique(bounds: KantorovichBounds, count: int) -> str:
-    """Return the words of a verdict that exactly one orbit closes after passing `count` sections within the proved
-    radii.
-    """
+    """Return the words of a verdict: exactly one orbit closes after `count` sections within the proved radii."""
     return (
         f"exactly one orbit within {bound(bounds.unique, lower=True)} of the nodes {passing(count)}, with the enclosed "
         f"flight times; it is within {bound(bounds.exists)}"
@@ -530,8 +527,7 @@ def prove_network(
 
 
 def over_range(energies: Energies, prove: Callable[[Energies], Proof]) -> Proof:
-    """Prove a statement for an interval of energies, piece by piece, with pieces half as wide if the proof does not
-    close.
+    """Prove a statement for an interval of energies piece by piece, with narrower pieces if a proof does not close.
 
     Args:
         energies: interval to cover.

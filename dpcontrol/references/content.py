@@ -81,8 +81,7 @@ class PlanSymbol:
 
 
 def symbol_figures(symbols: Sequence[PlanSymbol], place: int) -> dict[str, Any]:
-    """Return the number of a symbol among all symbols, or of a transfer among all transfers, for messages about a
-    motion.
+    """Return the number of a symbol among all symbols, or of a transfer among all transfers, for messages.
 
     Args:
         symbols: symbols and transfers in order.

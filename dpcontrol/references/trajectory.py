@@ -58,8 +58,7 @@ class Trajectory(Brief):
         return times_on(self.mesh, self.method.points)
 
     def _evaluate(self, times: ArrayLike, places: Array, values: Array) -> Array:
-        """Return the values (…, nx) of an interval's polynomials at times (…), s; times outside count as the nearest
-        end.
+        """Return the values (…, nx) of the intervals' polynomials at times (…), s, the nearest end's outside.
 
         Args:
             times: times (…), s.
@@ -319,8 +318,7 @@ def limit_uses(trajectory: Trajectory, limits: Limits) -> tuple[LimitUse, ...]:
 
 
 def largest_values(trajectory: Trajectory, limits: Limits) -> dict[str, float]:
-    """Return the largest size of each of the cart's limited quantities by name, values between nodes included, in SI
-    units.
+    """Return the largest size of each of the cart's limited quantities by name, SI units, between nodes too.
 
     Args:
         trajectory: motion.

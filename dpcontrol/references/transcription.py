@@ -271,9 +271,7 @@ class _Program:
             self._assemble_by_interval()
 
     def _assemble_by_interval(self) -> None:
-        """Build the program and its derivatives from those of one interval, which is faster than casadi's own
-        derivatives.
-        """
+        """Build the program and its derivatives from those of one interval, faster than by casadi's own derivatives."""
         equations, limits, n = self.problem.equations, self.problem.limits, self.intervals
         interval_program = _by_interval(
             equations, tuple(self.problem.parameters.tolist()), limits, self.method, self.settings, n
@@ -284,9 +282,7 @@ class _Program:
         self.low_g, self.high_g = [zeros], [zeros]
 
     def _aims(self) -> Array:
-        """Return the pendulum's states (N * K, nz) of the guess at all collocation points, from which the cost
-        measures.
-        """
+        """Return the guess at all collocation points (N * K, nz), the distance from which is part of the cost."""
         return self.problem.guess_at(self.first.input_times.ravel())
 
     def _assemble(self) -> None:
@@ -346,8 +342,7 @@ class _Program:
         self.high_g.append(values)
 
     def _join_ends(self, rows: list[ca.MX], first: ca.MX, last: ca.MX, matrix: ca.MX) -> None:
-        """Add conditions at the ends that are not bounds of variables: closing and energy, or all if stages have no
-        bounds.
+        """Add conditions at the ends that are not bounds: closing and energy, or all if stages have no bounds.
 
         Args:
             rows: constraints so far, to which those of the ends are added.

@@ -216,8 +216,7 @@ def first_guess(
 
 
 def lattice_offsets(chain: Sequence[Connection], wraps: Sequence[int]) -> Array:
-    """Return the whole turns by which the symbols of a walk are shifted, since each continues where the previous one
-    ends.
+    """Return the whole turns by which each symbol of a walk is shifted, since it starts where the previous one ends.
 
     Args:
         chain: connections of the walk (k,).

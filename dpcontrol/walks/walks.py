@@ -46,8 +46,9 @@ _MIRRORED = 1e-7  # scaled distance; above the error of states (1e-11), below th
 
 
 def as_connection(orbit: ShadowingOrbit) -> Connection:
-    """Return a converged open shadowing orbit as a connection, so that longer walks can use it as one symbol, a
-    composite edge.
+    """Return a converged open shadowing orbit as a connection, which longer walks can use as one symbol.
+
+    Such a connection is a composite edge of the connection graph.
 
     Args:
         orbit: converged orbit of an open walk.
@@ -184,8 +185,7 @@ LISTED = 100_000
 def symmetric_walk(
     walk: Sequence[str], search: SymmetricSearch, *, energy: float | None = None, lead_in: int = 2, lead_out: int = 2
 ) -> ShadowingOrbit:
-    """Return the orbit of a walk that has one symbol, for systems of three arms, whose connections exist at single
-    energies.
+    """Return the orbit of a walk of one symbol for three arms, whose connections exist at single energies.
 
     Args:
         walk: one symbol, such as "down-down-up +" or a connection's name.
@@ -841,7 +841,7 @@ def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[Walk
 
 
 def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
-    """Return the orbit of a walk, with the requested wraps or with the fewest that suffice and the requested extra
+    """Return the orbit of a walk with the requested wraps, or with the fewest that suffice and the requested extra
     ones.
 
     Without an orbit, the answer holds wraps that suffice, if there are any.
