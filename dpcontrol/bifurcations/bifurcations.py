@@ -634,7 +634,7 @@ class Sweep:
         for point in missed:
             images = [self.problem.mirrored(point.link, k) for k in range(len(self.problem.system.reversers))]
             for link in [point.link, *(image for image in images if image is not None)]:
-                known_branch = any(link.branches[0] == known.link.branches[0] for known in [*points, point])
+                known_branch = any(link.branches[0] == solution.link.branches[0] for solution in [*points, point])
                 if known_branch and self.among(link, points) is None:
                     points.append(PathPoint(link, value, point.tangency))
         self._found[value] = replace(self._found[value], points=tuple(points))
@@ -726,8 +726,10 @@ class Sweep:
         """Return the changes without duplicates, since each of the connections that meet at an event finds it."""
 
         def same(a: Located, b: Located) -> bool:
-            near = abs(a.value - b.value) < 1e-7 * self.problem.course.scale
-            return a.kind == b.kind and near and self.problem.distance_between(a.link, b.link) < 10 * self.settings.same
+            is_near = abs(a.value - b.value) < 1e-7 * self.problem.course.scale
+            return (
+                a.kind == b.kind and is_near and self.problem.distance_between(a.link, b.link) < 10 * self.settings.same
+            )
 
         distinct: list[Change] = []
         for change in changes:
@@ -974,14 +976,14 @@ def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
     """
     interval = sweep.between(low, high)
     # Searches are read last, because continuation may have added to them.
-    before, after = sweep.search(low), sweep.search(high)
-    return not interval.gaps and len(before.points) + interval.gain == len(after.points)
+    lower_search, upper_search = sweep.search(low), sweep.search(high)
+    return not interval.gaps and len(lower_search.points) + interval.gain == len(upper_search.points)
 
 
 def _unexplained(sweep: Sweep, low: float, high: float) -> UnexplainedChange:
     """Return the report of an interval whose events do not explain the change of its count, with up to three causes."""
-    interval, before, after = sweep.between(low, high), sweep.search(low), sweep.search(high)
-    counts = before.count, after.count, interval.gain * after.weight
+    interval, lower_search, upper_search = sweep.between(low, high), sweep.search(low), sweep.search(high)
+    counts = lower_search.count, upper_search.count, interval.gain * upper_search.weight
     return UnexplainedChange(
         (low, high), (Gap(sweep.problem.course, GapCause.COUNT, counts=counts), *interval.gaps[:2])
     )
@@ -1002,8 +1004,8 @@ def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found
     groups: list[list[Change]] = []
     for change in sorted(changes, key=lambda c: c.event.value):
         kind, value = change.event.kind, change.event.value
-        same = (g for g in groups if g[0].event.kind == kind and abs(g[0].event.value - value) < tolerance)
-        group = next(same, None)
+        images_of_event = (g for g in groups if g[0].event.kind == kind and abs(g[0].event.value - value) < tolerance)
+        group = next(images_of_event, None)
         if group is None:
             groups.append([change])
         else:

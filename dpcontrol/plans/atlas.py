@@ -275,9 +275,9 @@ def _connected(
 @contextmanager
 def _timed(seconds: dict[str, float], key: str) -> Iterator[None]:
     """Add the duration of a block (s) to the entry `key` of `seconds`."""
-    began = time.perf_counter()
+    begin = time.perf_counter()
     yield
-    seconds[key] += time.perf_counter() - began
+    seconds[key] += time.perf_counter() - begin
 
 
 def _compile(system: System, sections: list[Section]) -> None:

@@ -559,8 +559,8 @@ def _check_together(itinerary: Itinerary) -> None:
         InputError: names the first setting that does not fit.
     """
     file_place, (start, finish) = Place(str(itinerary.path)), (itinerary.start, itinerary.finish)
-    first, several = itinerary.parts[0], len(itinerary.parts) > 1
-    orbits = not several and (start, finish) == ("orbit", "orbit")
+    first, has_parts = itinerary.parts[0], len(itinerary.parts) > 1
+    orbits = not has_parts and (start, finish) == ("orbit", "orbit")
     if any(isinstance(part, OrbitPart) for part in itinerary.parts) and not orbits:
         reason = "an itinerary that keeps an orbit has no [[parts]], start and finish; remove these"
         raise file_place.refusal(f"orbit: {reason}", "orbit")
@@ -571,7 +571,7 @@ def _check_together(itinerary: Itinerary) -> None:
     for number, part in enumerate(itinerary.parts, start=1):
         limit = itinerary.limits.position
         if isinstance(part, HoldPart) and abs(part.cart) >= limit:
-            place = replace(file_place, table="parts", number=number) if several else file_place
+            place = replace(file_place, table="parts", number=number) if has_parts else file_place
             raise place.error("cart", part.cart, f"must be within ±{limit:g} m; give limits a longer position")
     keep, conservative = itinerary.loop.keep, itinerary.reference.level == "conservative"
     if conservative and (keep != "none" or not orbits):

@@ -349,8 +349,8 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
 
     Walks about one saddle are blended instead, and a stay continues the stay before it at the same place.
     """
-    rest = resting_place(itinerary.model.system)
-    names = ["rest" if name == rest else name for name in (before.where[1], after.where[0])]
+    resting_name = resting_place(itinerary.model.system)
+    names = ["rest" if name == resting_name else name for name in (before.where[1], after.where[0])]
     distance_in_turns = (before.last - after.first) / (2 * np.pi)
     walks = [goal.shadowing is not None for goal in (before, after)]
     same_place = names[0] == names[1] and walks[0] == walks[1]
@@ -474,10 +474,10 @@ class _Story:
         if not text or (at_stop and self.cart == goal.cart):
             self._arrive(name, angles, orbit_index, None, None)
             return
-        before = self.stops[-1]
-        turns = tuple(map(int, np.rint((angles - np.asarray(before.angles)) / (2 * np.pi))))
+        previous_stop = self.stops[-1]
+        turns = tuple(map(int, np.rint((angles - np.asarray(previous_stop.angles)) / (2 * np.pi))))
         symbol = PlanSymbol(
-            text=text, time=sum(self.transfers[-1]) / 2, source=before.saddle, target=name, winding=turns
+            text=text, time=sum(self.transfers[-1]) / 2, source=previous_stop.saddle, target=name, winding=turns
         )
         self._arrive(name, angles, orbit_index, symbol, None)
 

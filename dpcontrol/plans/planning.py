@@ -293,8 +293,8 @@ def _early(flight: Goal) -> float:
 
     The stay before the flight is shorter by these periods, see `_periods`.
     """
-    first = flight.walk.connections[0]
-    return (float(flight.walk.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
+    connection = flight.walk.connections[0]
+    return (float(flight.walk.symbol_times[0]) - flight.begin - connection.time_out) / connection.source.period
 
 
 def _late(flight: Goal) -> float:
@@ -302,8 +302,8 @@ def _late(flight: Goal) -> float:
 
     The stay after the flight is shorter by these periods, see `_periods`.
     """
-    last, end = flight.walk.connections[-1], flight.begin + flight.seconds
-    return (end - float(flight.walk.symbol_times[-1]) - last.time_in) / last.target.period
+    connection, end = flight.walk.connections[-1], flight.begin + flight.seconds
+    return (end - float(flight.walk.symbol_times[-1]) - connection.time_in) / connection.target.period
 
 
 def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:

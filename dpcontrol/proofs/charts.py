@@ -201,11 +201,11 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     thin, derivative, end, steps = fly(field, start, spread, leg.duration, settings)
     thin_crossing, box_crossing = (passage(field, normal, chart.coordinates(x, shift)[2], x) for x in (thin, end))
     thin_arrival = [x + thin_crossing.time * f for x, f in zip(thin, thin_crossing.rates, strict=True)]
-    moved = (box_crossing.moved * derivative * tangents).transpose().tolist()
-    *delays, late = [-dot(normal, column) / dot(normal, box_crossing.rates) for column in moved]
+    moved_tangents = (box_crossing.moved * derivative * tangents).transpose().tolist()
+    *delays, energy_delay = [-dot(normal, column) / dot(normal, box_crossing.rates) for column in moved_tangents]
     projected = [
         [m + f * d for m, f in zip(column, box_crossing.rates, strict=True)]
-        for column, d in zip(moved, [*delays, late], strict=True)
+        for column, d in zip(moved_tangents, [*delays, energy_delay], strict=True)
     ]
     *columns_y, energy_column = [[dot(row, column) for row in chart.rows[:2]] for column in projected]
     slope = columns(columns_y).transpose()
@@ -218,6 +218,6 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     thin_coordinates = zip(chart.coordinates(thin_arrival, shift)[:2], energy_column, chart.tilt, strict=True)
     value = [v + (a - ball(t)) * energy_deviation for v, a, t in thin_coordinates]
     total_time, at_node = (
-        ball(leg.duration) + time for time in (box_crossing.time, thin_crossing.time + late * energy_deviation)
+        ball(leg.duration) + time for time in (box_crossing.time, thin_crossing.time + energy_delay * energy_deviation)
     )
     return ChartSegment(value, slope, total_time, at_node, delays, [*steps, box_crossing.around], states)

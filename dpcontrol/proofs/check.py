@@ -439,23 +439,25 @@ def _segment(
     time, thin_time = (-second.away(2, x, shift) / speed for x in (ends, end))
     if not abs(time) < reach.abs_upper():
         raise NotClosed("a box is not proved to meet the next chart once")
-    moved = (flow.late(slopes, reach) * derivative * tangents).transpose().tolist()
-    *delays, late = [-dot(normal, column) / speed for column in moved]
+    moved_tangents = (flow.late(slopes, reach) * derivative * tangents).transpose().tolist()
+    *delays, energy_delay = [-dot(normal, column) / speed for column in moved_tangents]
     projected = flint.arb_mat(
         [
             [m + f * d for m, f in zip(column, rates, strict=True)]
-            for column, d in zip(moved, [*delays, late], strict=True)
+            for column, d in zip(moved_tangents, [*delays, energy_delay], strict=True)
         ]
     )
     # The first two rows are derivatives by y, and the last one is that by the energy.
     *along, across = (projected * flint.arb_mat(second.rows[:2]).transpose()).tolist()
-    landed, arrived = ([x + t * f for x, f in zip(v, rates, strict=True)] for v, t in ((end, thin_time), (ends, time)))
-    if second.box(second_widths, second.height(second_widths).union(second.away(3, arrived, shift)))[1][3].contains(0):
+    thin_arrival, arrival = (
+        [x + t * f for x, f in zip(v, rates, strict=True)] for v, t in ((end, thin_time), (ends, time))
+    )
+    if second.box(second_widths, second.height(second_widths).union(second.away(3, arrival, shift)))[1][3].contains(0):
         raise NotClosed("the energy does not determine the states of a box")
-    away, total = symmetric(first.within), number(duration)
-    value = [second.away(k, landed, shift) + (across[k] - second.tilt[k]) * away for k in range(2)]
-    slope, at_node = flint.arb_mat(along).transpose(), total + thin_time + late * away
-    return ChartSegment(value, slope, total + time, at_node, delays, [*boxes, crossing_box], states)
+    energy_range, flight_time = symmetric(first.within), number(duration)
+    value = [second.away(k, thin_arrival, shift) + (across[k] - second.tilt[k]) * energy_range for k in range(2)]
+    slope, at_node = flint.arb_mat(along).transpose(), flight_time + thin_time + energy_delay * energy_range
+    return ChartSegment(value, slope, flight_time + time, at_node, delays, [*boxes, crossing_box], states)
 
 
 _KEYS = {
@@ -655,8 +657,8 @@ def _checked(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     residual[last] = flow.energy(nodes[0]).value - number(data["energy"]) + within
     matrix[last][:4] = [p * s for p, s in zip(flow.energy(start).partials, scale, strict=True)]
     _check_solution(matrix, residual, exists)
-    moved = [x + p * symmetric(unique) for x, p in zip(start, direction, strict=True)]
-    if dot(flow.energy(moved).partials, direction).contains(0):
+    moved_box = [x + p * symmetric(unique) for x, p in zip(start, direction, strict=True)]
+    if dot(flow.energy(moved_box).partials, direction).contains(0):
         raise NotClosed("the energy does not determine the orbit")
     _check_bounds(data, number(sum(durations)) + count * symmetric(exists), maps)
     node_boxes = [[c + symmetric(s * exists) for c, s in zip(node, scale, strict=True)] for node in nodes]

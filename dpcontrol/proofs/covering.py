@@ -307,8 +307,8 @@ class Network:
         if any(len(link.marks) > 1 for link in self.links):
             raise NotClosed("a link has more than one mark")
         for k, j in self.passages():
-            other = f"link {j}" if j > 0 else f"orbit {j + len(self.orbits)}"
-            raise NotClosed(f"{other} is not proved to avoid the box of link {k} on its section")
+            chain_name = f"link {j}" if j > 0 else f"orbit {j + len(self.orbits)}"
+            raise NotClosed(f"{chain_name} is not proved to avoid the box of link {k} on its section")
 
     def passages(self) -> Iterator[tuple[int, int]]:
         """Yield each link and the number of a chain that is not proved to avoid its mark.
@@ -318,8 +318,8 @@ class Network:
         chains = [row.legs for row in (*self.orbits, *self.links)]
         for k, link in enumerate(self.links, start=1):
             for j, legs in enumerate(chains, start=1 - len(self.orbits)):
-                beside = (link.marks[0] - 1, link.marks[0]) if j == k else ()
-                spans = (box for i, leg in enumerate(legs) if i not in beside for box in leg.spans)
+                legs_at_mark = (link.marks[0] - 1, link.marks[0]) if j == k else ()
+                spans = (box for i, leg in enumerate(legs) if i not in legs_at_mark for box in leg.spans)
                 if any(self._meet(link.legs[link.marks[0]].start, box) for box in spans):
                     yield k, j
 

@@ -150,13 +150,13 @@ def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -
         bits: precision, bits.
         work: function that returns the proof or raises NotClosed.
     """
-    begun = time.perf_counter()
+    begin = time.perf_counter()
     try:
         with working(bits):
             proof = work()
     except (NotClosed, ZeroDivisionError, np.linalg.LinAlgError) as error:
         proof = Proof(kind, False, f"not proved: {error}", statement, {}, 0.0)
-    return replace(proof, seconds=time.perf_counter() - begun)
+    return replace(proof, seconds=time.perf_counter() - begin)
 
 
 def plain(value: Any) -> Any:
@@ -552,7 +552,7 @@ def over_range(energies: Energies, prove: Callable[[Energies], Proof]) -> Proof:
         return pieces[0]
     figures_of_pieces = [piece.figures for piece in pieces]
     figures = {"pieces": figures_of_pieces} | {
-        key: worst(row[key] for row in figures_of_pieces)
+        key: worst(piece_figures[key] for piece_figures in figures_of_pieces)
         for key, worst in (("wraps", max), ("entropy", min))
         if key in figures_of_pieces[0]
     }

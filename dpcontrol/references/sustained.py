@@ -388,8 +388,8 @@ class SustainedOrbit(ByReference, Timed):
         # Each section is spanned by the directions of the pendulum's state that are at right angles to its normal.
         bases = [np.linalg.svd(section_map.start.normal[None, :n])[2][1:].T for section_map in maps]
         parts = [
-            after.T @ section_map.matrix[:n, :n] @ before
-            for section_map, before, after in zip(maps, bases, bases[1:] + bases[:1], strict=True)
+            end_basis.T @ section_map.matrix[:n, :n] @ start_basis
+            for section_map, start_basis, end_basis in zip(maps, bases, bases[1:] + bases[:1], strict=True)
         ]
         return _multipliers(np.array(parts))
 

@@ -264,11 +264,11 @@ class TubeCuts:
         """
         key = (orbit.saddle, section.name, hit)
         if key not in self.cuts:
-            began = time.perf_counter()
+            begin = time.perf_counter()
             self.cuts[key] = tube_cut(
                 self.manifold(orbit), section, hit=hit, settings=self.settings.cut, budget=budget, progress=progress
             )
-            self.seconds += time.perf_counter() - began
+            self.seconds += time.perf_counter() - begin
         return self.cuts[key]
 
 
@@ -339,11 +339,11 @@ def searches_cost(
         settings: settings of the searches.
     """
     # Opposite pairs are images of one another.
-    different = len({frozenset(pair) for pair in pairs})
-    each = [_SEARCHED_MOST if max(hit) > 2 or settings.thorough else _SEARCHED * max(hit) for hit in hits]
-    memory = different * sum(_HIT_BYTES * max(hit) for hit in hits) if settings.thorough else _HIT_BYTES
+    pair_count = len({frozenset(pair) for pair in pairs})
+    seconds_per_hit = [_SEARCHED_MOST if max(hit) > 2 or settings.thorough else _SEARCHED * max(hit) for hit in hits]
+    memory = pair_count * sum(_HIT_BYTES * max(hit) for hit in hits) if settings.thorough else _HIT_BYTES
     key = f"hits up to {max(hits)[0]},{max(hits)[1]}"
-    return Cost(f"up to {different * len(hits):,} searches", different * sum(each), memory, key)
+    return Cost(f"up to {pair_count * len(hits):,} searches", pair_count * sum(seconds_per_hit), memory, key)
 
 
 def search_pairs(
@@ -387,13 +387,13 @@ def search_pairs(
         for hit in hits:
             portion(f"tubes {source} → {target}", 0.0)
             budget = Budget(tubes.settings.seconds)
-            first, second = (
+            unstable_cut, stable_cut = (
                 tubes.cut(orbits[saddle], section, number, budget=budget.until(0.4 * (side + 1)),
                           progress=part_of(portion, 0.25 * side, 0.25 * (side + 1)))
                 for side, (saddle, number) in enumerate(zip((source, target), hit, strict=True))
             )  # fmt: skip
             search = find_connections(
-                orbits[source], orbits[target], hits=hit, settings=tubes.settings, cuts=(first, second),
+                orbits[source], orbits[target], hits=hit, settings=tubes.settings, cuts=(unstable_cut, stable_cut),
                 budget=budget, progress=part_of(portion, 0.5, 1.0),
             )  # fmt: skip
             searches.append(PairSearch(search, by_reversal=False))

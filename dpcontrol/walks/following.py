@@ -56,10 +56,10 @@ class SymbolChange(Documented):
     @property
     def sentence(self) -> str:
         """A sentence describing the change."""
-        why = "the previous one ends there" if self.ends else "another one has a larger angle there"
+        reason = "the previous one ends there" if self.ends else "another one has a larger angle there"
         return (
             f'"{self.symbol}" selects another connection beyond {self.energy:.6g}{self.unit} (±{self.within:.1g}), '
-            f"because {why}: {self.before} before, {self.after} after"
+            f"because {reason}: {self.before} before, {self.after} after"
         )
 
 
@@ -189,14 +189,14 @@ class SymbolBranches:
             if selected is None or selected_at_end is None or self._keeps(selected, end):
                 continue
             energy, beyond = bisected(begin, end, lambda value, connection=selected: self._keeps(connection, value))
-            other = self.chosen(beyond)
+            next_selected = self.chosen(beyond)
             changes.append(
                 SymbolChange(
                     self.symbol.text,
                     (energy + beyond) / 2,
                     abs(beyond - energy) / 2,
                     selected.name,
-                    selected_at_end.name if other is None else other.name,
+                    selected_at_end.name if next_selected is None else next_selected.name,
                     self.followed(selected, beyond) is None,
                     unit,
                 )

@@ -109,9 +109,9 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     match = full_match or _SHORT.fullmatch(text)
     groups = {} if match is None else {"sense": None, **match.groupdict()}
     if match is None or not (groups["target"] or groups["sense"]):
-        other = saddles[min(1, len(saddles) - 1)]
+        example = saddles[min(1, len(saddles) - 1)]
         raise InputError(
-            f'{text!r} is not a symbol; write "{saddles[0]} +", "{saddles[0]} > {other}" or a connection\'s name '
+            f'{text!r} is not a symbol; write "{saddles[0]} +", "{saddles[0]} > {example}" or a connection\'s name '
             "from `dpcontrol connect`"
         )
     source = groups["source"]

@@ -136,9 +136,9 @@ def section_hits(
     # The crossing at time zero lies on a node, so rounding decides its side of the section.
     crossings = [k for k in np.flatnonzero(np.diff(section.sheets(states))) if section.admits(states[k])]
     spacing = float(np.diff(grid).max())
-    before = sum(1 for k in crossings if grid[k + 1] < -spacing / 2)
-    after = sum(1 for k in crossings if grid[k] > spacing / 2)
-    return before + 1, after + 1
+    crossings_before = sum(1 for k in crossings if grid[k + 1] < -spacing / 2)
+    crossings_after = sum(1 for k in crossings if grid[k] > spacing / 2)
+    return crossings_before + 1, crossings_after + 1
 
 
 def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
@@ -248,9 +248,9 @@ def resolve(texts: Sequence[str], edges: Edges, loss: Loss | None = None) -> Wal
         except GoalMissed as error:
             raise GoalMissed(f"symbol {k + 1} of {len(symbols)} ({symbol.text}): {error}", symbol=k) from error
         except InputError as error:
-            reasons = [why for saddle, why in edges.absent if saddle in (symbol.source, symbol.target)]
-            why = f" ({'; '.join(reasons)})" if reasons else ""
-            sentence = f"symbol {k + 1} of {len(symbols)}: {error}{why}{_nearest(symbols, edges)}"
+            reasons = [reason for saddle, reason in edges.absent if saddle in (symbol.source, symbol.target)]
+            reason = f" ({'; '.join(reasons)})" if reasons else ""
+            sentence = f"symbol {k + 1} of {len(symbols)}: {error}{reason}{_nearest(symbols, edges)}"
             raise InputError(sentence, symbol=k) from error
     return tuple(chain)
 
@@ -288,9 +288,9 @@ def _connection(symbol: Symbol, edges: Edges, loss: Loss | None) -> Connection:
         candidates += tuple(c for c in edges.named if (c.source.saddle, c.target.saddle) == pair)
     elif not candidates and any(name in ROTATING for name in pair):
         searches = [search for search in edges.incomplete if (search.source.saddle, search.target.saddle) == pair]
-        why = f" ({searches[0].status})" if searches else ""
+        reason = f" ({searches[0].status})" if searches else ""
         place = f"{edges.energy:g}{edges.system.unit('J')}"
-        raise InputError(f"{symbol.text!r}: no such connection was found at {place}{why}; try another energy")
+        raise InputError(f"{symbol.text!r}: no such connection was found at {place}{reason}; try another energy")
     return choose(symbol, candidates, loss)
 
 
@@ -468,7 +468,7 @@ def _check(edges: Edges, source: str | None, target: str | None) -> None:
     """
     for saddle in (source, target):
         if saddle is not None and saddle not in edges.orbits:
-            reasons = [why for name, why in edges.absent if name == saddle]
+            reasons = [reason for name, reason in edges.absent if name == saddle]
             raise InputError(f"{saddle!r}: {reasons[0] if reasons else suggest(saddle, edges.orbits)}")
 
 
@@ -853,11 +853,11 @@ def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
             return WalkAnswer(request, None, None, 0.0, fewest)
         fewest_wraps = fewest.wraps
         wraps = tuple(n + extra_wraps for n, extra_wraps in zip(fewest_wraps, request.extra, strict=True))
-    began = time.perf_counter()
+    begin = time.perf_counter()
     orbit = solver.solve(
         request.chain, wraps, periodic=request.periodic, lead_in=request.lead_in, lead_out=request.lead_out
     )
-    seconds = time.perf_counter() - began
+    seconds = time.perf_counter() - begin
     return WalkAnswer(request, fewest_wraps, orbit, seconds, None if orbit.converged else solver.advice(orbit))
 
 
