@@ -658,6 +658,7 @@ class Sweep:
         for k, point in enumerate(before.points):
             arrived = carry(self.problem, point, after.value)
             match = None if arrived is None else self.among(arrived.link, after.points)
+            # Both searches have this connection, so nothing happened to it.
             if match is not None and match in born:
                 lost.discard(k)
                 born.discard(match)

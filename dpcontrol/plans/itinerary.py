@@ -246,7 +246,9 @@ def _of_kind(role: str, value: Any, now: Any) -> Any:
 
 
 def setting_of(loop: LoopSettings, name: str) -> Any:
-    """Return the value of a run's setting; of controller and estimator the kind, and None for what they lack.
+    """Return the value that a setting has in a run, such as one that a preflight varies.
+
+    Of controller and estimator it is the kind. A setting that the run's law or filter lacks is None.
 
     Args:
         loop: settings of the run.

@@ -316,7 +316,7 @@ def _problem(
 
 
 def _missed(wanted: Transfer, durations: Array, failed: str) -> GoalMissed:
-    """Return the error of a transfer that was not found.
+    """Return the error of a transfer that was not found, with the obstacle that explains it.
 
     Args:
         wanted: the transfer.

@@ -241,6 +241,7 @@ def link_data(
         end_tilts = _carried(source["charts"][first], bases[0])[1], _carried(target["charts"][last], bases[-1])[0]
         tilts = _tilts(system, states, bases, stms, end_tilts)
     rates = growth(bases, stms)
+    # A box is narrower than the stretched one before it in u, and wider than the shrunk one in s, so it is covered.
     unstable_widths, stable_widths = [float(source["widths"][first][0]) / 4], [float(target["widths"][last][1])]
     for growth_forward, growth_backward in zip(rates, rates[::-1], strict=True):
         unstable_widths.append(min(_KEPT * growth_forward[0] * unstable_widths[-1], radius))

@@ -48,6 +48,7 @@ def closed_chain(system: System, states: Array, durations: Array, turns: Sequenc
         turns: whole turns in a period (N,).
     """
     bases, _ = closed_frames(system, states, durations)
+    # The last chart is the first one again, at which the chain closes.
     charts = [
         SectionChart(tuple(map(Fraction, state)), tuple(tuple(row) for row in basis))
         for state, basis in zip([*states.tolist(), states[0].tolist()], bases.tolist(), strict=True)

@@ -143,6 +143,7 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
         NotClosed: the boxes do not prove a claim.
     """
     count, nodes = len(flown.flights), [claim["node"] for claim in claims]
+    # First segment, marked node and last segment of each symbol rise along the orbit.
     edges = [edge for claim in claims for edge in (claim["segments"][0], claim["node"], claim["segments"][1])]
     turn_counts = [turn_count for claim in claims for turn_count in (claim["turns"], claim["stop_turns"])]
     symbols_adjoin = [edge + 1 for edge in edges[2:-1:3]] == edges[3::3] and (edges[0], edges[-1]) == (0, count - 1)

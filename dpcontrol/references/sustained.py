@@ -297,12 +297,15 @@ class SustainedOrbit(ByReference, Timed):
         return end_values[..., :n], end_values[..., n]
 
     def over(self, begin: float, duration: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return the linearised flow along the orbit, Φ (N, N) and Γ (N,), over a time that can pass the period's end.
+        """Return the linearised flow along the orbit over a time that can pass the period's end.
 
         Args:
             begin: begin, s.
             duration: time, s.
             pulse: v of the time from `begin` on, zero if there is none.
+
+        Returns:
+            State-transition matrix Φ (N, N), and response Γ (N,) of the state to the pulse.
         """
         n, period = self.equations.dimension, self.period
         matrix, response = np.eye(n), np.zeros(n)
@@ -318,9 +321,12 @@ class SustainedOrbit(ByReference, Timed):
         return matrix, response
 
     def _span(self, begin: float, end: float, *, pulse: Signal | None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) between two times (s) within one period of the orbit's clock.
+        """Return the linearised flow between two times (s) within one period of the orbit's clock.
 
         `pulse` is an added cart acceleration v(t), m/s², or None.
+
+        Returns:
+            State-transition matrix Φ (N, N), and response Γ (N,) of the state to the pulse.
         """
         n = self.equations.dimension
         matrix, response = np.eye(n), np.zeros(n)
@@ -330,6 +336,8 @@ class SustainedOrbit(ByReference, Timed):
 
     def section(self, phase: float) -> PhaseSection:
         """Return the section across the orbit at a phase.
+
+        Control on sections measures the deviation of a state where it crosses them.
 
         Args:
             phase: phase, 1 for a period, counted modulo 1.

@@ -154,6 +154,8 @@ def first_guess(
 ) -> Guess:
     """Return the initial guess of a walk's orbit: samples of its connections, joined in the middle of each stop.
 
+    Newton's method keeps one node of each symbol on its section, whose level shifts with the symbol's whole turns.
+
     Args:
         chain: connections of the walk.
         wraps: periods at each stop.
@@ -441,6 +443,7 @@ def walk_of_one(connection: Connection, text: str, *, lead_in: int = 2, lead_out
         offsets=offsets,
         duration=crossing_time + connection.time_in + lead_out * connection.target.period,
         orbit=orbit,
+        # No walk was solved, so the shot has no derivatives from which an error could be estimated.
         shot=Shot(connection.solution, orbit, 0.0, None, np.nan, np.empty((0, 0, 0)), 0),
         estimate=None,
         cause=WalkCause.CONNECTION,
