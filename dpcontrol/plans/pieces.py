@@ -46,7 +46,7 @@ from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 WOBBLES = 2
-"""Wobbles of a change between two orbits of one saddle."""
+"""Wraps of a change between two orbits of one saddle."""
 
 
 @dataclass(frozen=True)

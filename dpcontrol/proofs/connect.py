@@ -2,7 +2,7 @@
 
 Boxes are chosen in doubles, and module covering states what covering relations between them prove. Around an orbit,
 widths follow the stretching between its nodes. Along a connection or an open walk, they grow from a quarter of the
-first orbit's box towards the last orbit's box. The manifolds' tangents lie in the propagated cones. Where the cones are
+first orbit's box towards the last orbit's box. The manifolds' tangents lie in the propagated cones. If the cones are
 disjoint, the connection is transversal and they enclose its angle.
 
 All connections of one orbit leave and join the same boxes, so every walk on a graph is a path along covering relations.
