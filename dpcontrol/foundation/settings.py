@@ -409,15 +409,15 @@ class Settings:
                 of_parts.setdefault(name_of_part, {})[path_within] = value
             else:
                 new_values[name_of_part] = value
+        names = [setting.name for setting in fields(self) if setting.name != "kind"]  # type: ignore[arg-type]
+        for name in (*new_values, *of_parts):
+            if name not in names:
+                owner = getattr(self, "kind", self.TABLE)
+                raise InputError(f"{self.TABLE}.{name}: {owner} has no such setting; it has {', '.join(names)}")
         new_values |= {
             name_of_part: getattr(self, name_of_part).with_(values_within)
             for name_of_part, values_within in of_parts.items()
         }
-        names = [setting.name for setting in fields(self) if setting.name != "kind"]  # type: ignore[arg-type]
-        for name in new_values:
-            if name not in names:
-                owner = getattr(self, "kind", self.TABLE)
-                raise InputError(f"{self.TABLE}.{name}: {owner} has no such setting; it has {', '.join(names)}")
         return replace(self, **new_values)  # type: ignore[type-var]
 
     def of_each(self, name: str, arms: int) -> tuple[Any, ...]:

@@ -357,7 +357,7 @@ class Assembly:
             GoalMissed: no controller exists.
         """
         # The plant has the parameters of the model, also instead of a user's plant.
-        settings = replace(self.settings, travel=0.0, plant=None)
+        settings = replace(self.settings, plant=None)
         if isinstance(settings.controller, OwnLaw) or isinstance(settings.estimator, OwnEstimator):
             raise InputError("margins need symbolic equations, which Python objects do not provide; remove the object")
         if not isinstance(settings.estimator, EkfSettings):
@@ -378,7 +378,7 @@ class Assembly:
                 f'controller: kind = "{law.kind}" goes by phase or by pulses, and margins are simulated by the clock; '
                 "vary the drive in a campaign instead: `campaign NAME --over lag=0,0.01`"
             )
-        nominal = replace(self, settings=replace(settings, travel=self.settings.travel), law=law_or_hold)
+        nominal = replace(self, settings=settings, law=law_or_hold)
         plant = sampled_model(self.arms, settings.rate, settings.known_lag)
         bench_sensors = settings.sensors
         sensors = SensorSettings(counts=bench_sensors.counts, cart_resolution=bench_sensors.cart_resolution)

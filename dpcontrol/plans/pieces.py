@@ -45,7 +45,7 @@ from dpcontrol.references.reference import Reference, still
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
-WOBBLES = 2
+WRAPS = 2
 """Wraps of a change between two orbits of one saddle."""
 
 
@@ -399,7 +399,7 @@ def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, prog
     next_lift = np.rint((leaving.last - joining.first) / (2 * np.pi)) * 2 * np.pi + lift
     first, last = leaving.orbits[1], joining.orbits[0]
     departure, arrival = _phase_at_end(before, first), _phase_at_start(after, last)
-    turns = WOBBLES + (arrival - departure) % 1.0
+    turns = WRAPS + (arrival - departure) % 1.0
     frequencies = (1 / first.period, 1 / last.period)
     duration = 2 * turns / (frequencies[0] + frequencies[1])
     curves = OrbitCurve(first), OrbitCurve(last)

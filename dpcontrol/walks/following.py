@@ -184,7 +184,7 @@ class SymbolBranches:
                 "not reported"
             )
         for k, (begin, end) in enumerate(pairwise(grid)):
-            progress(f"{self.symbol.text} from {begin:.4g} J", k / _GRID)
+            progress(f"{self.symbol.text} from {begin:.4g}{unit}", k / _GRID)
             selected, selected_at_end = self.chosen(begin), self.chosen(end)
             if selected is None or selected_at_end is None or self._keeps(selected, end):
                 continue
