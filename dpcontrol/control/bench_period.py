@@ -38,15 +38,15 @@ class DriveLimits:
     clip: Clip
 
     def demanded(self, command: Any, noise: Any, last: Any) -> Any:
-        """Return the demand that results from a command, m/s².
+        """Return the demand on the drive that results from a command, m/s², within the limits of acceleration and jerk.
 
         Args:
             command: commanded acceleration, m/s², a number or (S,).
             noise: noise on the command, m/s², a number or (S,).
             last: demand of the last period, m/s², a number or (S,).
         """
-        wanted = self.clip(self.response * command + noise, -self.acceleration, self.acceleration)
-        return self.clip(wanted, last - self.jerk_step, last + self.jerk_step)
+        unlimited = self.clip(self.response * command + noise, -self.acceleration, self.acceleration)
+        return self.clip(unlimited, last - self.jerk_step, last + self.jerk_step)
 
     def acting(self, demanded: Any, velocity: Any, duration: Any) -> Any:
         """Return the acceleration that keeps the velocity reference in bounds, m/s².
@@ -101,13 +101,20 @@ class PeriodKind:
     motor: int
 
     def measured(self, state: ca.SX, zeros: ca.SX, noise: ca.SX, steps: ca.SX, drive: DriveNumbers) -> list[ca.SX]:
-        """Return the readings (n+1,) of a state, rad and m."""
+        """Return the readings (n+1,) of a state, rad and m: absolute angles of the arms and the cart's position.
+
+        Each encoder measures the angle between two arms, so errors of the inner arms shift the outer ones' angles as
+        well.
+
+        `zeros` (n,) rad, `noise` (n+1,) rad and m: errors of the encoders. `steps` (n+1,): sizes of their counts.
+        """
         n, reads = len(self.counted) - 1, dict(self.reads)
         values = [state[reads[k]] if k in reads else state[k] - (state[k - 1] if k else 0) for k in range(n)]
         values = [value + zeros[k] for k, value in enumerate(values)] + [state[reads.get(n, self.cart)]]
         for k, counted in enumerate(self.counted):
             values[k] += noise[k]
             if counted:
+                # The two large numbers round to whole counts, see `_WHOLE`.
                 values[k] = steps[k] * (values[k] / steps[k] + drive.up - drive.down)
         for k in range(1, n):
             values[k] += values[k - 1]
@@ -116,7 +123,7 @@ class PeriodKind:
 
 @lru_cache(maxsize=32)
 def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Function]:
-    """Return the functions of sensors and drive.
+    """Return the functions of sensors and drive of a simulated bench, which run between two steps of its plant.
 
     (state, zeros, noise, steps, drive, present, last) -> reading
 
@@ -131,34 +138,43 @@ def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Fun
     n, rounds = len(kind.counted) - 1, len(DriveNumbers._fields)
 
     def symbols(**lengths: int) -> dict[str, ca.SX]:
+        """Return symbols by name with these lengths."""
         return {name: ca.SX.sym(name, length) for name, length in lengths.items()}
 
     def spread(values: Sequence[ca.SX]) -> ca.SX:
+        """Return each value once for every lane, as the machine code's rows need it."""
         return ca.vertcat(*(value for value in values for _ in range(lanes)))
 
-    size, wide = kind.size * lanes, (n + 1) * lanes
-    s = symbols(state=size, zeros=n, noise=n + 1, steps=n + 1, drive=rounds, present=wide, last=wide)
-    drive = DriveNumbers(*ca.vertsplit(s["drive"]))
-    now = kind.measured(s["state"][::lanes], s["zeros"], s["noise"], s["steps"], drive)
-    read = [ca.if_else(s["present"][i * lanes], now[i], s["last"][i * lanes]) for i in range(n + 1)]
-    sensors = ca.Function("sensors", [*s.values()], [spread(read)])
-    d = symbols(command=lanes, command_noise=1, demands=kind.demands, state=size, drive=rounds)
-    drive = DriveNumbers(*ca.vertsplit(d["drive"]))
+    size, position_rows = kind.size * lanes, (n + 1) * lanes
+    sensor_inputs = symbols(
+        state=size, zeros=n, noise=n + 1, steps=n + 1, drive=rounds, present=position_rows, last=position_rows
+    )
+    drive = DriveNumbers(*ca.vertsplit(sensor_inputs["drive"]))
+    measured = kind.measured(
+        sensor_inputs["state"][::lanes], sensor_inputs["zeros"], sensor_inputs["noise"], sensor_inputs["steps"], drive
+    )
+    readings = [
+        ca.if_else(sensor_inputs["present"][i * lanes], measured[i], sensor_inputs["last"][i * lanes])
+        for i in range(n + 1)
+    ]
+    sensors = ca.Function("sensors", [*sensor_inputs.values()], [spread(readings)])
+    drive_inputs = symbols(command=lanes, command_noise=1, demands=kind.demands, state=size, drive=rounds)
+    drive = DriveNumbers(*ca.vertsplit(drive_inputs["drive"]))
     limits, state = (
         DriveLimits(*drive[:4], clip=lambda value, low, high: ca.fmax(ca.fmin(value, high), low)),
-        d["state"][::lanes],
+        drive_inputs["state"][::lanes],
     )
-    demand = limits.demanded(d["command"][0], d["command_noise"], d["demands"][-1])
-    demands = ca.vertcat(d["demands"][1:], demand)
+    demand = limits.demanded(drive_inputs["command"][0], drive_inputs["command_noise"], drive_inputs["demands"][-1])
+    demands = ca.vertcat(drive_inputs["demands"][1:], demand)
     velocity = state[kind.motor + 1] + (drive.lag * state[kind.cart + 2] if kind.lags else 0)
     acting = limits.acting(demands[1], velocity, drive.period)
-    return sensors, ca.Function("drive", [*d.values()], [demands, spread([acting])])
+    return sensors, ca.Function("drive", [*drive_inputs.values()], [demands, spread([acting])])
 
 
 def bound(
     function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]
 ) -> tuple[Callable[[], None], tuple[object, ...]]:
-    """Return a call of a function between arrays, and the objects that must live as long as the call.
+    """Return a call of a function between fixed arrays, without copies, and the objects that must live as long.
 
     Args:
         function: function of dense vectors.

@@ -90,7 +90,7 @@ class DriveWatch:
         return _LASTS * self.time
 
     def visible(self, count: ca.SX, variance: ca.SX, noise: ca.SX) -> ca.SX:
-        """Return the least b that must be visible, m.
+        """Return the least motion b, m, that counts as evidence: noise and counts hide smaller ones.
 
         Args:
             count: count of the scale, m.
@@ -101,7 +101,7 @@ class DriveWatch:
         return _COUNTS * count + _SIGMAS * ca.sqrt(variance) + _ACCELERATION * self.time**2
 
     def start(self, velocity: float, rates: Array) -> Array:
-        """Return the memory (size,) at the start of a run.
+        """Return the watch's memory (size,) at the start of a run.
 
         Args:
             velocity: velocity of the cart, m/s.
@@ -110,41 +110,45 @@ class DriveWatch:
         return self.memory.filled(read=np.array([0.0, -velocity]), arms=np.append(0 * rates, -rates))
 
     def update(self, memory: ca.SX, cart: CartReading) -> ca.SX:
-        """Return the memory after a reading and before the next command.
+        """Return the watch's memory after a reading and before the next command.
+
+        It updates the evidence that the cart does not follow (`lasts`, `against`, `doubt`), and corrects the observers.
 
         Args:
             memory: memory of the watch.
             cart: the cart's reading.
         """
-        m = self.memory.of(memory)._asdict()
-        gaps = {name: m[name][: m[name].shape[0] // 2] for name in _OBSERVERS}
-        gaps["read"] += cart.moved[self.arms]
-        gaps["arms"] += cart.moved[: self.arms]
-        due, late, read = gaps["due"], gaps["late"], gaps["read"] + cart.ahead
-        least = ca.if_else(due * late > 0, ca.fmin(ca.fabs(due), ca.fabs(late)), 0)
-        along = ca.if_else(due > 0, read, -read)
-        short, seen = ca.fmax(least - along, 0), least >= cart.visible
-        peak = ca.fmax(short, float(np.exp(-self.period / (_FADES * self.time))) * m["peak"])
-        follows = ca.logic_and(seen, along >= _FOLLOWED * least)
-        astray = ca.logic_and(ca.logic_and(seen, ca.logic_not(follows)), short >= _STAYS * peak)
-        doubt = ca.dot((gaps["arms"] + gaps["driven"] / 2)[: self.seen], gaps["driven"][: self.seen])
-        after = {"peak": peak} | {
-            name: ca.if_else(counts, m[name] + more, ca.if_else(follows, 0, m[name]))
-            for name, more, counts in (
-                ("lasts", self.period, astray), ("against", (4 * along + least) * least, astray),
-                ("doubt", doubt, ca.logic_or(astray, ca.logic_and(cart.repeats, ca.logic_not(seen)))),
+        parts = self.memory.of(memory)._asdict()
+        errors = {name: parts[name][: parts[name].shape[0] // 2] for name in _OBSERVERS}
+        errors["read"] += cart.moved[self.arms]
+        errors["arms"] += cart.moved[: self.arms]
+        due, late, read = errors["due"], errors["late"], errors["read"] + cart.ahead
+        # b of the module's text: motion that a working drive, even one that is late, must show.
+        expected = ca.if_else(due * late > 0, ca.fmin(ca.fabs(due), ca.fabs(late)), 0)
+        followed = ca.if_else(due > 0, read, -read)
+        shortfall, visible = ca.fmax(expected - followed, 0), expected >= cart.visible
+        peak = ca.fmax(shortfall, float(np.exp(-self.period / (_FADES * self.time))) * parts["peak"])
+        follows = ca.logic_and(visible, followed >= _FOLLOWED * expected)
+        astray = ca.logic_and(ca.logic_and(visible, ca.logic_not(follows)), shortfall >= _STAYS * peak)
+        doubt = ca.dot((errors["arms"] + errors["driven"] / 2)[: self.seen], errors["driven"][: self.seen])
+        changes = {"peak": peak} | {
+            name: ca.if_else(condition, parts[name] + increase, ca.if_else(follows, 0, parts[name]))
+            for name, increase, condition in (
+                ("lasts", self.period, astray), ("against", (4 * followed + expected) * expected, astray),
+                ("doubt", doubt, ca.logic_or(astray, ca.logic_and(cart.repeats, ca.logic_not(visible)))),
             )
         }  # fmt: skip
-        keeps = float(np.exp(-self.period / self.time))
-        for name, gap in (gaps | {"read": read}).items():
-            rate = m[name][gap.shape[0] :] - (1 - keeps) ** 2 / self.period * gap
-            after[name] = ca.vertcat(gaps[name] - (1 - keeps**2) * gap, rate)
+        decay = float(np.exp(-self.period / self.time))
+        for name, error in (errors | {"read": read}).items():
+            # The poles of the observers are both e^(-Δt/T).
+            rate = parts[name][error.shape[0] :] - (1 - decay) ** 2 / self.period * error
+            changes[name] = ca.vertcat(errors[name] - (1 - decay**2) * error, rate)
         # Without a reading, no observer is corrected.
-        taken = {name: ca.if_else(cart.fresh, value, m[name]) for name, value in after.items()}
-        return self.memory.joined(_Memory(**m | taken))
+        values = {name: ca.if_else(cart.fresh, value, parts[name]) for name, value in changes.items()}
+        return self.memory.joined(_Memory(**parts | values))
 
     def predict(self, memory: ca.SX, acting: ca.SX, swing: ca.SX, driven: ca.SX) -> ca.SX:
-        """Return the memory at the next reading.
+        """Return the watch's memory at the next reading: the observers' errors are predicted over a period.
 
         Args:
             memory: memory before the command.
@@ -152,12 +156,12 @@ class DriveWatch:
             swing: modelled accelerations (n,) of the arms until then, rad/s².
             driven: the part (n,) of these that is due to the commands, rad/s².
         """
-        m, period = self.memory.of(memory)._asdict(), self.period
-        m["lagged"] = acting + float(np.exp(-period / _LATER)) * (m["lagged"] - acting)
-        for name, acceleration in zip(_OBSERVERS, (ca.SX(0), acting, m["lagged"], -swing, driven), strict=True):
-            gap, rate = ca.vertsplit(m[name], m[name].shape[0] // 2)
-            m[name] = ca.vertcat(gap + rate * period + acceleration * period**2 / 2, rate + acceleration * period)
-        return self.memory.joined(_Memory(**m))
+        parts, period = self.memory.of(memory)._asdict(), self.period
+        parts["lagged"] = acting + float(np.exp(-period / _LATER)) * (parts["lagged"] - acting)
+        for name, acceleration in zip(_OBSERVERS, (ca.SX(0), acting, parts["lagged"], -swing, driven), strict=True):
+            error, rate = ca.vertsplit(parts[name], parts[name].shape[0] // 2)
+            parts[name] = ca.vertcat(error + rate * period + acceleration * period**2 / 2, rate + acceleration * period)
+        return self.memory.joined(_Memory(**parts))
 
 
 _OBSERVERS = ("read", "due", "late", "arms", "driven")

@@ -47,6 +47,11 @@ class Layout(Generic[Parts]):
     """
 
     def __init__(self, lengths: Any) -> None:
+        """Set the ranges of the parts from their lengths.
+
+        Args:
+            lengths: named tuple of the lengths, in the order of the vector.
+        """
         ends = np.cumsum(lengths).tolist()
         self.size: int = ends[-1]
         self.slices: Any = lengths._make(slice(end - n, end) for n, end in zip(lengths, ends, strict=True))
@@ -55,7 +60,7 @@ class Layout(Generic[Parts]):
         """Names of the parts that the vector has."""
 
     def of(self, vector: Any) -> Parts:
-        """Return the parts of a vector, which share its memory.
+        """Return the parts of a vector by name, which share its memory.
 
         Args:
             vector: expression (size,), or numbers (size,) or (size, runs).
@@ -67,7 +72,7 @@ class Layout(Generic[Parts]):
         return self.slices._make(rows[:, where] for where in self.slices)
 
     def symbols(self, name: str) -> tuple[ca.SX, Parts]:
-        """Return a vector of symbols and its parts.
+        """Return a vector of symbols, an input of a casadi function, and its parts by name.
 
         Args:
             name: name of the vector.
@@ -76,7 +81,7 @@ class Layout(Generic[Parts]):
         return vector, self.of(vector)
 
     def joined(self, parts: Parts) -> ca.SX:
-        """Return the vector of these parts.
+        """Return the vector of these parts, an output of a casadi function.
 
         Args:
             parts: all parts, (length,).
@@ -84,7 +89,7 @@ class Layout(Generic[Parts]):
         return ca.densify(ca.vertcat(*(getattr(parts, name) for name in self.names)))
 
     def filled(self, runs: int | None = None, **parts: Array | float) -> Array:
-        """Return the vector of numbers, with zeros for missing parts.
+        """Return the vector of numbers with these parts, and zeros for the others.
 
         Args:
             runs: number of runs; None for one.
@@ -93,15 +98,15 @@ class Layout(Generic[Parts]):
         Returns:
             Vector (size,), or (size, runs).
         """
-        out = np.zeros(self.size if runs is None else (self.size, runs))
+        vector = np.zeros(self.size if runs is None else (self.size, runs))
         for name, value in parts.items():
-            given = np.asarray(value, dtype=float)
-            out[getattr(self.slices, name)] = given[:, None] if runs is not None and given.ndim == 1 else given
-        return out
+            numbers = np.asarray(value, dtype=float)
+            vector[getattr(self.slices, name)] = numbers[:, None] if runs is not None and numbers.ndim == 1 else numbers
+        return vector
 
 
 def packed(matrix: Array) -> Array:
-    """Return the lower triangle of a matrix, row by row.
+    """Return the lower triangle of a symmetric matrix, row by row, as memories and logs store a covariance.
 
     Args:
         matrix: matrix (…, n, n).
@@ -114,7 +119,7 @@ def packed(matrix: Array) -> Array:
 
 
 def unpacked(triangle: Array) -> Array:
-    """Return the symmetric matrix of a lower triangle.
+    """Return the symmetric matrix of a lower triangle, such as a logged covariance.
 
     Args:
         triangle: lower triangle (…, n(n+1)/2), row by row.
@@ -124,14 +129,14 @@ def unpacked(triangle: Array) -> Array:
     """
     n = int(np.sqrt(2 * triangle.shape[-1]))
     rows, columns = np.tril_indices(n)
-    out = np.empty((*triangle.shape[:-1], n, n))
-    out[..., rows, columns] = triangle
-    out[..., columns, rows] = triangle
-    return out
+    matrix = np.empty((*triangle.shape[:-1], n, n))
+    matrix[..., rows, columns] = triangle
+    matrix[..., columns, rows] = triangle
+    return matrix
 
 
 def pack(matrix: ca.SX) -> ca.SX:
-    """Return the lower triangle of an expression, row by row.
+    """Return the lower triangle of a symmetric expression, row by row, as the tick's memory stores it.
 
     Args:
         matrix: symmetric matrix (n, n).
@@ -146,17 +151,15 @@ def unpack(triangle: ca.SX, n: int) -> ca.SX:
         triangle: lower triangle (n(n+1)/2,), row by row.
         n: size of the matrix.
     """
-    out = ca.SX(n, n)
+    matrix = ca.SX(n, n)
     for i in range(n):
         for j in range(i + 1):
-            out[i, j] = out[j, i] = triangle[i * (i + 1) // 2 + j]
-    return out
+            matrix[i, j] = matrix[j, i] = triangle[i * (i + 1) // 2 + j]
+    return matrix
 
 
 def propagated(jacobian: ca.SX, covariance: ca.SX, noise: ca.SX) -> ca.SX:
-    """Return the lower triangle of A P Aᵀ + Q.
-
-    Its entries are row by row.
+    """Return the covariance after a period, A P Aᵀ + Q, as its lower triangle row by row.
 
     Args:
         jacobian: A (N+E, N+E).
@@ -168,25 +171,28 @@ def propagated(jacobian: ca.SX, covariance: ca.SX, noise: ca.SX) -> ca.SX:
 
 
 def _sparse(matrix: Array) -> ca.SX:
+    """Return a constant matrix as an expression without its zeros, so that casadi omits the products with them."""
     return ca.sparsify(ca.SX(ca.DM(matrix)))
 
 
 def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the inverse of a small positive definite matrix, and its factors.
+    """Return the inverse of a positive definite matrix (n, n), and the factors L⁻¹ (n, n) and D (n,) of L D Lᵀ.
 
-    L⁻¹ and D of L D Lᵀ.
+    The factors whiten the innovation for the NIS. A negative D shows that the matrix is not positive.
     """
     n = matrix.shape[0]
-    lower, d = ca.SX.eye(n), ca.SX(n, 1)
+    lower, pivots = ca.SX.eye(n), ca.SX(n, 1)
     for j in range(n):
-        d[j] = matrix[j, j] - sum((lower[j, k] ** 2 * d[k] for k in range(j)), ca.SX(0))
+        pivots[j] = matrix[j, j] - sum((lower[j, k] ** 2 * pivots[k] for k in range(j)), ca.SX(0))
         for i in range(j + 1, n):
-            lower[i, j] = (matrix[i, j] - sum((lower[i, k] * lower[j, k] * d[k] for k in range(j)), ca.SX(0))) / d[j]
-    back = ca.SX.eye(n)
+            lower[i, j] = (
+                matrix[i, j] - sum((lower[i, k] * lower[j, k] * pivots[k] for k in range(j)), ca.SX(0))
+            ) / pivots[j]
+    lower_inverse = ca.SX.eye(n)
     for i in range(n):
         for j in range(i):
-            back[i, j] = -sum((lower[i, k] * back[k, j] for k in range(j, i)), ca.SX(0))
-    return back.T @ ca.diag(1 / d) @ back, back, d
+            lower_inverse[i, j] = -sum((lower[i, k] * lower_inverse[k, j] for k in range(j, i)), ca.SX(0))
+    return lower_inverse.T @ ca.diag(1 / pivots) @ lower_inverse, lower_inverse, pivots
 
 
 Timing = namedtuple("Timing", "age variance rates")
@@ -222,7 +228,7 @@ class FilterEquations:
 
     @property
     def shares(self) -> list[int]:
-        """Return the slice of z with the errors of the inertial parameters."""
+        """Return the indices in z of the errors of the inertial parameters, which z holds as logarithms."""
         return [self.equations.dimension + i for i, name in enumerate(self.extra_names) if name[0] in "MS"]
 
     @cached_property
@@ -232,17 +238,14 @@ class FilterEquations:
 
     @cached_property
     def observation(self) -> Array:
-        """Return H (n+1, N+E).
-
-        It maps the augmented state to the measured positions.
-        """
+        """Return H (n+1, N+E), which maps z to the measured positions, including the errors of the encoders' zeros."""
         n = self.arms
-        out = np.zeros((n + 1, self.dimension))
-        out[np.arange(n + 1), [*range(n), 2 * n]] = 1.0
+        matrix = np.zeros((n + 1, self.dimension))
+        matrix[np.arange(n + 1), [*range(n), 2 * n]] = 1.0
         for i, name in enumerate(self.extra_names):
             if name.startswith("zero_"):
-                out[int(name.removeprefix("zero_")) - 1, self.equations.dimension + i] = 1.0
-        return out
+                matrix[int(name.removeprefix("zero_")) - 1, self.equations.dimension + i] = 1.0
+        return matrix
 
     @cached_property
     def carried(self) -> Array:
@@ -250,14 +253,17 @@ class FilterEquations:
 
         P is the covariance of T z. Without `as_measured`, T is the identity.
         """
-        out = np.eye(self.dimension)
+        transformation = np.eye(self.dimension)
         if self.as_measured:
-            out[[*range(self.arms), 2 * self.arms]] = self.observation
-        return out
+            transformation[[*range(self.arms), 2 * self.arms]] = self.observation
+        return transformation
 
     @cached_property
     def restored(self) -> Array:
-        """Return the inverse of T; its entries are 0, 1 and -1."""
+        """Return the inverse of T (`carried`); its entries are 0, 1 and -1.
+
+        T is the identity plus a matrix whose square is zero, since positions depend on zeros and not the reverse.
+        """
         return 2 * np.eye(self.dimension) - self.carried
 
     @cached_property
@@ -270,7 +276,7 @@ class FilterEquations:
         }  # fmt: skip
 
     def noise_inputs(self, covariance: ca.SX, change: ca.SX | float = 0.0, nis: ca.SX | float = 1.0) -> ca.SX:
-        """Return the inputs (3,) of Q other than the state.
+        """Return the inputs (3,) of Q other than the state, see `predicted`.
 
         Args:
             covariance: covariance (N+E, N+E), from which the mean variance of the parameters' logarithms follows (0 if
@@ -282,31 +288,40 @@ class FilterEquations:
         return ca.vertcat(variance, change, nis)
 
     def _parameters(self, parameters: ca.SX, extra: dict[str, ca.SX]) -> ca.SX:
-        """Return the parameters with the errors that `extra` holds."""
+        """Return the base parameters (p,) with their estimated errors, with which the equations predict.
+
+        Errors of M and S are logarithms, those of friction relative. "dry" adds Coulomb friction as a share of
+        gravity's torque. The order of the parameters is that of `ArmChainParameters.base`.
+
+        extra: estimated extras by name; missing ones count as zero.
+        """
         n = self.arms
         factors = ca.SX.ones(parameters.shape[0])
         inertias = [f"M{i + 1}{j + 1}" for i in range(n) for j in range(i, n)]
-        for c, name in enumerate(inertias):
-            factors[c] = ca.exp(extra.get(name, ca.SX(0)))
+        for entry, name in enumerate(inertias):
+            factors[entry] = ca.exp(extra.get(name, ca.SX(0)))
         first = len(inertias)
         laws = (parameters.shape[0] - first - 2 * n) // n
         for i in range(n):
-            coupling, friction = extra.get(f"S{i + 1}", ca.SX(0)), extra.get(f"friction_{i + 1}", 0)
-            factors[first + i] = factors[first + n + i] = ca.exp(coupling)
+            coupling_error, friction_error = extra.get(f"S{i + 1}", ca.SX(0)), extra.get(f"friction_{i + 1}", 0)
+            factors[first + i] = factors[first + n + i] = ca.exp(coupling_error)
             for law in range(laws):
-                factors[first + (2 + law) * n + i] += friction
-        found = parameters * factors
+                factors[first + (2 + law) * n + i] += friction_error
+        with_errors = parameters * factors
         for i in range(n if Augment.DRY in self.augment else 0):
-            found[first + 3 * n + i] += extra[f"dry_{i + 1}"] * parameters[first + i]
-        return found
+            with_errors[first + 3 * n + i] += extra[f"dry_{i + 1}"] * parameters[first + i]
+        return with_errors
 
     @cached_property
     def _parameter_function(self) -> ca.Function:
-        """Parameters of the equations as a function of the model's and of the relative errors of the extras."""
+        """Parameters (p,) as a function of the model's (p,) and of a report's extras (E,), for `likely_parameters`.
+
+        A report holds relative errors of M and S, but z their logarithms.
+        """
         parameters = ca.SX.sym("parameters", self.inputs["parameters"])
         extra = ca.SX.sym("extra", len(self.extra_names))
-        named = zip(self.extra_names, ca.vertsplit(extra), strict=True)
-        errors = {name: ca.log1p(error) if name[0] in "MS" else error for name, error in named}
+        by_name = zip(self.extra_names, ca.vertsplit(extra), strict=True)
+        errors = {name: ca.log1p(error) if name[0] in "MS" else error for name, error in by_name}
         return ca.Function("likely_parameters", [parameters, extra], [self._parameters(parameters, errors)])
 
     def likely_parameters(self, parameters: Array, extra: Array) -> Array:
@@ -320,21 +335,26 @@ class FilterEquations:
         return np.array(self._parameter_function(parameters, bounded)).ravel()
 
     def _braked(self, e: ca.SX, parameters: ca.SX) -> ca.SX:
-        """Return the largest accelerations (n,) from dry friction.
+        """Return the largest accelerations (n,) from dry friction, rad/s², by which its process noise is scaled.
 
-        The friction is modelled or estimated, and each arm moves alone.
+        The friction is modelled or estimated, and each arm moves alone. e (E,): extras of z. parameters (p,): base
+        parameters.
         """
-        n, found = self.arms, self._parameters(parameters, dict(zip(self.extra_names, ca.vertsplit(e), strict=True)))
+        n, with_errors = (
+            self.arms,
+            self._parameters(parameters, dict(zip(self.extra_names, ca.vertsplit(e), strict=True))),
+        )
+        # Other equations than those of arms in a chain have no known order of parameters.
         if self.equations.linear_parameters is None:
             return ca.SX(n, 1)
-        torques, inertias = found[n * (n + 1) // 2 + 3 * n :], np.cumsum([0, *range(n, 1, -1)]).tolist()
-        return ca.vertcat(*(ca.sum1(torques[i : min(i + 2, n)]) / found[inertias[i]] for i in range(n)))
+        torques, inertias = with_errors[n * (n + 1) // 2 + 3 * n :], np.cumsum([0, *range(n, 1, -1)]).tolist()
+        return ca.vertcat(*(ca.sum1(torques[i : min(i + 2, n)]) / with_errors[inertias[i]] for i in range(n)))
 
     @cached_property
     def _slopes(self) -> ca.Function:
-        """(x, e, command, parameters) -> the state's rate and its Jacobians.
+        """(x, e, command, parameters) -> the state's rate (N,) and its Jacobians by x, by e and by the command.
 
-        The Jacobians are those by x, by e and by the command.
+        x (N,) is the state, e (E,) are the extras. Each stage of the Runge-Kutta step in `predicted` calls it.
         """
         size, n = self.equations.dimension, self.arms
         x, e = ca.SX.sym("x", size), ca.SX.sym("e", len(self.extra_names))
@@ -359,7 +379,7 @@ class FilterEquations:
         noise_inputs: ca.SX,
         origin: ca.SX | None = None,
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the next z, its Jacobian and Q, both for T z.
+        """Return z after a period, and its Jacobian and Q (N+E, N+E), both for T z (see `carried`).
 
         Args:
             z: present z (N+E,).
@@ -377,14 +397,14 @@ class FilterEquations:
         # The chain rule through the Runge-Kutta stages needs a third fewer instructions than one differentiation.
         moved, spread = x, start
         total, slopes, pushed = ca.SX.zeros(size), ca.SX(size, size + extras), ca.SX(size, 1)
-        for weight, further in ((1, step / 2), (2, step / 2), (2, step), (1, None)):
-            place = moved if origin is None else moved + origin[:size]
-            k, by_x, by_e, by_command = self._slopes(place, e, command, parameters)
+        for weight, next_length in ((1, step / 2), (2, step / 2), (2, step), (1, None)):
+            absolute = moved if origin is None else moved + origin[:size]
+            k, by_x, by_e, by_command = self._slopes(absolute, e, command, parameters)
             pushed += weight / 6 * by_command
             k_slope = by_x @ spread + ca.horzcat(ca.SX(size, size), by_e)
             total, slopes = total + weight * k, slopes + weight * k_slope
-            if further is not None:
-                moved, spread = x + further * k, start + further * k_slope
+            if next_length is not None:
+                moved, spread = x + next_length * k, start + next_length * k_slope
         decay = process[11 : 11 + extras]
         following = ca.vertcat(x + step / 6 * total, decay * e)
         jacobian = ca.vertcat(start + step / 6 * slopes, ca.horzcat(ca.SX(extras, size), ca.diag(decay)))
@@ -392,8 +412,8 @@ class FilterEquations:
         noise, braked = ca.SX(self.dimension, self.dimension), self._braked(e, parameters)
         for i in range(n):
             # The Jacobian omits the squared parameter errors, which P does not cover.
-            wrong = process[1] + process[7] * noise_inputs[0] ** 2
-            density = process[0] + wrong * (following[n + i] - x[n + i]) ** 2 + process[10] * braked[i] ** 2
+            relative_density = process[1] + process[7] * noise_inputs[0] ** 2
+            density = process[0] + relative_density * (following[n + i] - x[n + i]) ** 2 + process[10] * braked[i] ** 2
             noise[i, i], noise[n + i, n + i] = density * block[0, 0], density * block[1, 1]
             noise[i, n + i] = noise[n + i, i] = density * block[0, 1]
         for i in range(extras):
@@ -405,23 +425,24 @@ class FilterEquations:
         if "drive" in self.extra_names:
             reach[size + self.extra_names.index("drive"), 2] = 1
         pp, pv, vv, pd, vd = (process[k] for k in range(2, 7))
-        besides = ca.vertcat(ca.horzcat(pp, pv, pd), ca.horzcat(pv, vv, vd), ca.horzcat(pd, vd, 0))
+        cart_covariance = ca.vertcat(ca.horzcat(pp, pv, pd), ca.horzcat(pv, vv, vd), ca.horzcat(pd, vd, 0))
         # With unmodelled lag, the drive's error starts at the size of each command step.
-        late = process[9] * noise_inputs[1] * ca.DM([step**2 / 2, step, 1])
+        lag_error = process[9] * noise_inputs[1] * ca.DM([step**2 / 2, step, 1])
         # After a blow, or with a wrong model, process noise grows with the unexplained innovations.
         surprise = ca.fmax(1, noise_inputs[2]) ** process[8]
-        noise = surprise * (noise + reach @ besides @ reach.T) + reach @ late @ late.T @ reach.T
+        noise = surprise * (noise + reach @ cart_covariance @ reach.T) + reach @ lag_error @ lag_error.T @ reach.T
         if self.as_measured:
-            t, back = _sparse(self.carried), _sparse(self.restored)
-            jacobian, noise = t @ jacobian @ back, t @ noise @ t.T
+            carried, restored = _sparse(self.carried), _sparse(self.restored)
+            jacobian, noise = carried @ jacobian @ restored, carried @ noise @ carried.T
         return following, jacobian, noise
 
     def updated(
         self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX, timing: Timing | None = None
     ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return an estimate after a measurement.
+        """Return an estimate after a measurement, by the formulas of the module's text.
 
-        The results are z, P of T z, innovation, NIS, S⁻¹ times the innovation, and the rates.
+        The results are z (N+E,), P (N+E, N+E) of T z, innovation y (n+1,), NIS, and S⁻¹ (y, ω) (n+1, 2) with the rates
+        ω. The last one serves the estimate of the readings' age.
 
         Args:
             z: predicted z (N+E,).
@@ -432,38 +453,49 @@ class FilterEquations:
             timing: timing of the reading; None for a reading of the tick.
         """
         n, m = self.arms, self.arms + 1
-        h, w = _sparse(self.observation), ca.diag(present)
-        y = measured - h @ z
+        observation, selection = _sparse(self.observation), ca.diag(present)
+        innovation = measured - observation @ z
         # Wrapped: a whole turn in a measured angle makes no difference.
-        y = ca.vertcat(*(ca.atan2(ca.sin(y[i]), ca.cos(y[i])) for i in range(n)), y[n]) * present
-        r = unpack(noise, m)
+        innovation = (
+            ca.vertcat(*(ca.atan2(ca.sin(innovation[i]), ca.cos(innovation[i])) for i in range(n)), innovation[n])
+            * present
+        )
+        noise_matrix = unpack(noise, m)
         if self.as_measured:
-            h = _sparse(self.observation @ self.restored)
+            observation = _sparse(self.observation @ self.restored)
         rates = [*range(n, 2 * n), 2 * n + 1]
         moving = (z[rates] if timing is None else timing.rates) * present
         if timing is not None:
             # The rates are uncertain too. With ω ωᵀ alone, an arm or a cart at rest would reveal the age of the reading
             # within a count, and errors of the rates would pass for errors of the model.
-            r += timing.variance * (moving @ moving.T + covariance[rates, rates])
-            h -= timing.age * _sparse(np.eye(self.dimension)[rates])
-        crossed = covariance @ h.T @ w
+            noise_matrix += timing.variance * (moving @ moving.T + covariance[rates, rates])
+            observation -= timing.age * _sparse(np.eye(self.dimension)[rates])
+        crossed = covariance @ observation.T @ selection
         # Compute 1 - W first: 1 + S - 1 would cancel a cart variance of 1e-13 m².
-        inverse, back, d = _inverse(w @ h @ crossed + w @ r @ w + (ca.SX.eye(m) - w))
+        inverse, lower_inverse, pivots = _inverse(
+            selection @ observation @ crossed + selection @ noise_matrix @ selection + (ca.SX.eye(m) - selection)
+        )
         gain = crossed @ inverse
         # (I - K H) P, then Joseph's form without its larger products, which avoids cancellation in the second step.
-        half = covariance - gain @ (h @ covariance)
-        after = half + (gain @ r - half @ h.T) @ gain.T
-        white = back @ y
-        step = gain @ y
-        z = z + (_sparse(self.restored) @ step if self.as_measured else step)
-        return z, after, y, ca.sum1(white**2 / d), inverse @ ca.horzcat(y, moving)
+        half = covariance - gain @ (observation @ covariance)
+        updated_covariance = half + (gain @ noise_matrix - half @ observation.T) @ gain.T
+        whitened = lower_inverse @ innovation
+        correction = gain @ innovation
+        z = z + (_sparse(self.restored) @ correction if self.as_measured else correction)
+        return (
+            z,
+            updated_covariance,
+            innovation,
+            ca.sum1(whitened**2 / pivots),
+            inverse @ ca.horzcat(innovation, moving),
+        )
 
     def function(self, *, predicts: bool) -> ca.Function:
-        """Return the step as a casadi function.
+        """Return a filter's whole step, or its measurement update alone, as a casadi function.
 
-        Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters,
-        process (`FilterSettings.process`). Outputs: memory, standard deviations (N+E), innovation (n+1), NIS, number
-        of positions present, and a number that is finite exactly if the estimate is finite.
+        Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters, process
+        (`FilterSettings.process`). Outputs: memory, standard deviations (N+E), innovation (n+1), NIS, number of
+        positions present, and a number that is finite exactly if the estimate is finite.
 
         Args:
             predicts: True for a whole step, False for the measurement update only.
@@ -474,26 +506,28 @@ class FilterEquations:
         measured, present = ca.SX.sym("measured", m), ca.SX.sym("present", m)
         noise = ca.SX.sym("noise", m * (m + 1) // 2)
         covariance = unpack(triangle, size)
-        before = z
+        predicted = z
         if predicts:
-            before, jacobian, q = self.predicted(z, command, parameters, process, self.noise_inputs(covariance))
+            predicted, jacobian, process_noise = self.predicted(
+                z, command, parameters, process, self.noise_inputs(covariance)
+            )
             # Mirror one triangle so that casadi does not compute the other.
-            covariance = unpack(propagated(jacobian, covariance, q), size)
-        after, covariance, y, nis, _ = self.updated(before, covariance, measured, present, noise)
+            covariance = unpack(propagated(jacobian, covariance, process_noise), size)
+        updated, covariance, innovation, nis, _ = self.updated(predicted, covariance, measured, present, noise)
         sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
         # The last output is not finite if any part of the estimate is not, so one comparison detects it.
-        sound = ca.sum1(after) + ca.sum1(sigmas)
-        out = ca.vertcat(after, pack(covariance), sigmas, y, nis, ca.sum1(present), sound)
+        sound = ca.sum1(updated) + ca.sum1(sigmas)
+        result = ca.vertcat(updated, pack(covariance), sigmas, innovation, nis, ca.sum1(present), sound)
         memory = ca.SX.sym("memory", size + triangle.shape[0])
-        out = ca.substitute(ca.densify(out), ca.vertcat(z, triangle), memory)
+        result = ca.substitute(ca.densify(result), ca.vertcat(z, triangle), memory)
         inputs = {
             "memory": memory, "command": command, "measured": measured, "present": present, "noise": noise,
             "parameters": parameters, "process": process,
         }  # fmt: skip
-        return ca.Function("filter", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
+        return ca.Function("filter", [*inputs.values()], [ca.cse(result)], [*inputs], ["out"], {"cse": True})
 
     def prediction(self, *, with_jacobian: bool) -> ca.Function:
-        """Return the prediction as a casadi function.
+        """Return the prediction over a period as a casadi function.
 
         Its inputs are z, command, parameters, process and noise_inputs.
 
@@ -501,10 +535,14 @@ class FilterEquations:
             with_jacobian: True to return the next z, its Jacobian and Q by columns, False for the next z only.
         """
         inputs = {name: ca.SX.sym(name, size) for name, size in self.inputs.items()}
-        following, jacobian, q = self.predicted(*inputs.values())
-        parts = [following, ca.vec(ca.densify(jacobian)), ca.vec(ca.densify(q))] if with_jacobian else [following]
-        out = ca.densify(ca.vertcat(*parts))
-        return ca.Function("prediction", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
+        following, jacobian, process_noise = self.predicted(*inputs.values())
+        parts = (
+            [following, ca.vec(ca.densify(jacobian)), ca.vec(ca.densify(process_noise))]
+            if with_jacobian
+            else [following]
+        )
+        result = ca.densify(ca.vertcat(*parts))
+        return ca.Function("prediction", [*inputs.values()], [ca.cse(result)], [*inputs], ["out"], {"cse": True})
 
 
 RESTART_RATE = 10.0
@@ -517,13 +555,16 @@ RESTART_VELOCITY = 1.0
 def _compiled(
     equations: Equations, period: float, augments: tuple[Augment, ...]
 ) -> tuple[FilterEquations, Compiled, Compiled, Compiled]:
-    """Return the filter's equations and its step, update and prediction.
+    """Return a filter's equations, and its step, measurement update and prediction as machine code.
 
-    Cached per process.
+    Cached, so that all filters of a process with the same equations, period (s) and extras compile once.
     """
-    made = FilterEquations(equations, period, augments)
-    step, update = Compiled(made.function(predicts=True)), Compiled(made.function(predicts=False))
-    return made, step, update, Compiled(made.prediction(with_jacobian=False))
+    filter_equations = FilterEquations(equations, period, augments)
+    step, update = (
+        Compiled(filter_equations.function(predicts=True)),
+        Compiled(filter_equations.function(predicts=False)),
+    )
+    return filter_equations, step, update, Compiled(filter_equations.prediction(with_jacobian=False))
 
 
 _Outputs = namedtuple("_Outputs", "z covariance sigmas innovation nis used sound")
@@ -536,6 +577,13 @@ class KalmanFilter(Estimator):
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
+        """Compile the model's equations.
+
+        Args:
+            model: model of arms and drive from tick to tick.
+            settings: settings of the filter.
+            noise: covariance (n+1, n+1) of the measured positions.
+        """
         self.model, self.settings, self.noise = model, settings, noise
         compiled = _compiled(model.equations, model.period, settings.augments)
         self.equations, self.whole, self.correct, self.ahead_of = compiled
@@ -561,13 +609,13 @@ class KalmanFilter(Estimator):
             measured: positions (n+1,), rad and m; those that are not finite are kept as well.
         """
         arms, places = self.model.arms, self.model.position_indices
-        x = np.where(np.isfinite(estimate.state), estimate.state, 0.0)
-        x[arms : 2 * arms] = np.clip(x[arms : 2 * arms], -3 * RESTART_RATE, 3 * RESTART_RATE)
-        x[-1] = np.clip(x[-1], -3 * RESTART_VELOCITY, 3 * RESTART_VELOCITY)
-        x[places] = np.where(np.isfinite(measured), measured, x[places])
+        state = np.where(np.isfinite(estimate.state), estimate.state, 0.0)
+        state[arms : 2 * arms] = np.clip(state[arms : 2 * arms], -3 * RESTART_RATE, 3 * RESTART_RATE)
+        state[-1] = np.clip(state[-1], -3 * RESTART_VELOCITY, 3 * RESTART_VELOCITY)
+        state[places] = np.where(np.isfinite(measured), measured, state[places])
         covariance, rates = self.settings.first_covariance(arms), [*range(arms, 2 * arms), 2 * arms + 1]
         covariance[rates, rates] = [*[RESTART_RATE**2] * arms, RESTART_VELOCITY**2]
-        return self._begun(np.append(x, np.zeros(len(self.extra_names))), covariance)
+        return self._begun(np.append(state, np.zeros(len(self.extra_names))), covariance)
 
     @abstractmethod
     def _begun(self, z: Array, covariance: Array) -> Estimate:
@@ -583,6 +631,13 @@ class CompiledEkf(KalmanFilter):
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
+        """Compile the filter and fill the inputs that do not change.
+
+        Args:
+            model: model of arms and drive from tick to tick.
+            settings: settings of the filter.
+            noise: covariance (n+1, n+1) of the measured positions.
+        """
         super().__init__(model, settings, noise=noise)
         size, m, slices = self.equations.dimension, model.arms + 1, self.whole.slices
         self.out = Layout[_Outputs](_Outputs(size, size * (size + 1) // 2, size, m, 1, 1, 1))
@@ -592,9 +647,10 @@ class CompiledEkf(KalmanFilter):
             inputs[places["parameters"]], inputs[places["process"]] = model.parameters, self.process
 
     def _begun(self, z: Array, covariance: Array) -> Estimate:
-        n, still = self.model.dimension, np.zeros(self.model.arms + 1)
+        """See `KalmanFilter._begun`."""
+        n, no_innovation = self.model.dimension, np.zeros(self.model.arms + 1)
         memory = np.append(z, packed(covariance))
-        return Estimate(z[:n], z[n:], np.sqrt(covariance.diagonal()), still, float("nan"), 0, memory)
+        return Estimate(z[:n], z[n:], np.sqrt(covariance.diagonal()), no_innovation, float("nan"), 0, memory)
 
     def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after a measurement.
@@ -610,7 +666,7 @@ class CompiledEkf(KalmanFilter):
         return self._called(self.correct, estimate, measured, present)
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
-        """Return the estimate a period later.
+        """Return the estimate a period later, after a prediction and a new measurement.
 
         Args:
             estimate: estimate one tick earlier.
@@ -625,20 +681,23 @@ class CompiledEkf(KalmanFilter):
         return self._called(self.whole, estimate, measured, present)
 
     def _called(self, function: Compiled, estimate: Estimate, measured: Array, present: Present) -> Estimate:
-        """Return the estimate after a step or an update, the functions of which have the same inputs."""
+        """Return the estimate after a step or an update, the functions of which have the same inputs.
+
+        measured (n+1,): positions, rad and m. present (n+1,): True for each valid one, None for all.
+        """
         inputs, slices = self.inputs, self.whole.slices
         inputs[slices["memory"]] = estimate.memory
-        counts = np.ones(len(measured), dtype=bool) if present is None else present
+        valid = np.ones(len(measured), dtype=bool) if present is None else present
         # Replace NaN before the products: zero times NaN is NaN.
-        inputs[slices["measured"]], inputs[slices["present"]] = np.where(counts, measured, 0.0), counts
-        out = function.machine(inputs, np.empty(function.size_out))
-        parts, n = self.out.of(out), self.model.dimension
+        inputs[slices["measured"]], inputs[slices["present"]] = np.where(valid, measured, 0.0), valid
+        outputs = function.machine(inputs, np.empty(function.size_out))
+        parts, n = self.out.of(outputs), self.model.dimension
         if not (0 <= (nis := parts.nis.item()) < inf and isfinite(parts.sound.item())):
             raise ArithmeticError(
                 "the filter's covariance is no longer positive, or its state no longer finite; begin again from the "
                 "measured positions, or assume more noise"
             )
-        z, used, memory = parts.z, int(parts.used.item()), out[: len(estimate.memory)]
+        z, used, memory = parts.z, int(parts.used.item()), outputs[: len(estimate.memory)]
         return Estimate(z[:n], z[n:], parts.sigmas, parts.innovation, nis, used, memory)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:

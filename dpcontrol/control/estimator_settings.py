@@ -185,7 +185,7 @@ class FilterSettings(Settings, table="estimator"):
     ] = ()
 
     def _check_together(self) -> None:
-        """Check that each quantity is augmented once."""
+        """Check that each quantity is augmented once; the other settings are checked one by one."""
         if len(set(self.augment)) != len(self.augment):
             raise self.refusal("augment", "name each once")
 
@@ -204,28 +204,28 @@ class FilterSettings(Settings, table="estimator"):
             InputError: `learnt` is not a covariance of these arms' constant errors.
         """
         state = [self.first_angle] * arms + [self.first_rate] * arms + [self.first_cart] * 2
-        out = np.diag(np.square([*state, *map(self._sigma, extra_names(arms, self.augments))]))
+        covariance = np.diag(np.square([*state, *map(self._sigma, extra_names(arms, self.augments))]))
         count = len(constants(arms, self.augments))
         if len(self.learnt) not in (0, count**2):
             raise self.refusal("learnt", f"must have {count} rows and columns for these arms; learn again")
         if self.learnt:
-            out[-count:, -count:] = np.reshape(self.learnt, (count, count))
-        return out
+            covariance[-count:, -count:] = np.reshape(self.learnt, (count, count))
+        return covariance
 
     def _sigma(self, name: str) -> float:
         """Return the standard deviation of an extra quantity at the start of a run, in its unit.
 
-        Names are those of `constants`, such as "zero_1"; others are relative errors of the arms' parameters.
+        Names are those of `extra_names`, such as "zero_1"; M11 … and S1 … are relative errors of the arms' parameters.
         """
         kind = name.partition("_")[0]
-        known = {
+        sigmas = {
             "zero": self.zero_error,
             "disturbance": self.disturbance,
             "drive": self.drive_error,
             "friction": self.friction_error,
             "dry": self.dry_error,
         }
-        return known.get(kind, self.model_error)
+        return sigmas.get(kind, self.model_error)
 
     def process(self, arms: int, period: float) -> Array:
         """Return the noise parameters of the filter's equations.
@@ -247,25 +247,25 @@ class FilterSettings(Settings, table="estimator"):
         """
         names = extra_names(arms, self.augments)
         densities = [self.rate_noise**2, 2 * self.correlation_time * (self.parameter_error / period) ** 2]
-        path = self.cart_noise**2 * np.array([period**3 / 3, period**2 / 2, period, 0.0, 0.0])
+        cart_covariance = self.cart_noise**2 * np.array([period**3 / 3, period**2 / 2, period, 0.0, 0.0])
         if "drive" in names:
-            path += self._fading_drive(period)
+            cart_covariance += self._fading_drive(period)
         decay, variance = [], []
         fading = {"disturbance": self.disturbance_time, "drive": self.drive_time}
         for name in names:
-            sigma, lasts = self._sigma(name), fading.get(name.partition("_")[0])
-            kept = 1.0 if lasts is None else float(np.exp(-period / lasts))
-            decay.append(kept)
+            sigma, duration = self._sigma(name), fading.get(name.partition("_")[0])
+            factor = 1.0 if duration is None else float(np.exp(-period / duration))
+            decay.append(factor)
             # A decaying quantity keeps its variance: φ² σ² + q = σ².
-            variance.append((sigma * _DRIFT) ** 2 * period if lasts is None else sigma**2 * (1 - kept**2))
+            variance.append((sigma * _DRIFT) ** 2 * period if duration is None else sigma**2 * (1 - factor**2))
         squares = 2 * self.correlation_time * (self.nonlinearity / period) ** 2
         # A change ends within a longer period, and its noise would feed back through the law's commands.
-        late = self.late_drive * min(1.0, _LATE_PERIOD / period)
+        late_share = self.late_drive * min(1.0, _LATE_PERIOD / period)
         dry = 2 * self.correlation_time * self.dry_shape**2
-        return np.array([*densities, *path, squares, self.surprise, late, dry, *decay, *variance])
+        return np.array([*densities, *cart_covariance, squares, self.surprise, late_share, dry, *decay, *variance])
 
     def with_command_noise(self, noise: float, *, period: float, keeps: float = 0.0) -> Self:
-        """Return the settings for a drive with noise on commands.
+        """Return the settings for a drive with white noise on its commands, which the process noise then covers.
 
         Args:
             noise: standard deviation of white noise, drawn in each period, m/s².
@@ -279,18 +279,18 @@ class FilterSettings(Settings, table="estimator"):
         return replace(self, cart_noise=float(np.hypot(self.cart_noise, noise * period**0.5)))
 
     def _fading_drive(self, period: float) -> Array:
-        """Return the covariance that an unknown drive error adds within a period.
+        """Return the covariance that an unknown drive error adds within a period, as pp, pv, vv, pd, vd.
 
-        Pp, pv, vv, pd, vd.
-
-        Without it, a period as long as the error's duration would leave the cart's motion exact.
+        p, v and d are the cart's position and velocity and the drive's error. Without this covariance, a period as long
+        as the error's duration would leave the cart's motion exact. It is integrated over the times of the error's
+        random changes.
         """
         nodes, weights = np.polynomial.legendre.leggauss(16)
-        since, lasts = (1 + nodes) * period / 2, self.drive_time
-        left = np.exp(-since / lasts)
+        times, duration = (1 + nodes) * period / 2, self.drive_time
+        remaining = np.exp(-times / duration)
         # Position, velocity and error due to a push at `since` before the period's end.
-        p, v, d = lasts * (since - lasts * (1 - left)), lasts * (1 - left), left
-        density = weights * period / 2 * 2 * self.drive_error**2 / lasts
+        p, v, d = duration * (times - duration * (1 - remaining)), duration * (1 - remaining), remaining
+        density = weights * period / 2 * 2 * self.drive_error**2 / duration
         return np.array([density @ (a * b) for a, b in ((p, p), (p, v), (v, v), (p, d), (v, d))])
 
 
@@ -344,7 +344,7 @@ EstimatorSettings = EkfSettings | UkfSettings
 
 @cache
 def chi_square_band(freedom: int, *, share: float = 0.95) -> tuple[float, float]:
-    """Return the central interval of a chi-square variable.
+    """Return the central interval of a chi-square variable, in which a consistent filter's NIS or NEES lies.
 
     Args:
         freedom: degrees of freedom.
@@ -374,9 +374,7 @@ MEANS_OF = 50
 
 
 def mean_band(freedom: int) -> tuple[float, float]:
-    """Return the 95 % interval of means of chi-square variables.
-
-    Each mean is that of `MEANS_OF` variables.
+    """Return the 95 % interval of means of `MEANS_OF` chi-square variables, for means of a consistent filter's NIS.
 
     Args:
         freedom: degrees of freedom of each variable.
@@ -386,7 +384,7 @@ def mean_band(freedom: int) -> tuple[float, float]:
 
 
 def means_of(values: Array) -> Array:
-    """Return means of successive values, or the values if too few.
+    """Return means of `MEANS_OF` successive values, or the values themselves if they are too few.
 
     Args:
         values: values (K,).
@@ -427,7 +425,7 @@ _LESS = "set counts and noise in [run] to those of the encoders, or lower rate_n
 
 
 def nis_means(values: Array, freedom: int) -> NisMeans | None:
-    """Average the finite values (K,) of a NIS.
+    """Return the average of a NIS's finite values with its consistency, for the report of a run.
 
     Args:
         values: NIS (K,), NaN where unknown.
@@ -436,15 +434,15 @@ def nis_means(values: Array, freedom: int) -> NisMeans | None:
     Returns:
         The average, or None if there are too few values for one mean.
     """
-    known = values[np.isfinite(values)]
-    if len(known) < MEANS_OF:
+    finite = values[np.isfinite(values)]
+    if len(finite) < MEANS_OF:
         return None
-    (low, high), means = mean_band(freedom), means_of(known)
-    return NisMeans(float(known.mean()), freedom, float(np.mean((means >= low) & (means <= high))))
+    (low, high), means = mean_band(freedom), means_of(finite)
+    return NisMeans(float(finite.mean()), freedom, float(np.mean((means >= low) & (means <= high))))
 
 
 def nees(error: Array, covariance: Array) -> Array:
-    """Return the normalised estimation error squared (…).
+    """Return the normalised estimation error squared (…), the consistency of an estimate with its covariance.
 
     Args:
         error: truth minus estimate (…, n).

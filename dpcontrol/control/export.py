@@ -156,7 +156,7 @@ def identity(program: TickProgram, schedule: GainSchedule) -> str:
     if equations.own is not None:
         shape += equations.function().serialize()
     arrays = (program.constants, program.stored[:, 0], schedule.rows, schedule.references, schedule.queued)
-    return content_hash(shape, *(np.ascontiguousarray(one, dtype="<f8").tobytes() for one in arrays))
+    return content_hash(shape, *(np.ascontiguousarray(array, dtype="<f8").tobytes() for array in arrays))
 
 
 class _Tables(NamedTuple):
@@ -180,31 +180,35 @@ class _Tables(NamedTuple):
 
 
 def _tables(equations: TickEquations, schedule: GainSchedule, *, single: bool) -> _Tables:
-    """Return the tables of a schedule without lead."""
+    """Return the tables of a schedule without lead: which columns change from tick to tick, and their polynomials.
+
+    A column's accuracy follows from the command's error by a unit of the column: gains by a deviation of the state,
+    states by the largest gain.
+    """
     n, states = equations.filter.arms, equations.row.slices.state
     rows = schedule.rows[:, :-n]
     varying = np.ptp(rows, axis=0) > 0
     columns = np.r_[states, np.setdiff1d(np.flatnonzero(varying), np.r_[states])]
-    moves = equations.row.of(np.abs(schedule.rows).max(axis=0))
+    largest = equations.row.of(np.abs(schedule.rows).max(axis=0))
     errors = equations.row.filled(
         feedforward=1.0,
         gains=_DEVIATION,
-        state=np.maximum(moves.gains, 1.0),
-        drive=moves.drive_gain,
+        state=np.maximum(largest.gains, 1.0),
+        drive=largest.drive_gain,
         drive_gain=_DEVIATION,
         extra_gains=_DEVIATION,
         pair_gains=_DEVIATION**2,
     )
     differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
     moving = rows[: differing[-1] + 2 if len(differing) else 1, columns]
-    names = [f"{name} {k + 1}" for name in equations.row.names for k in range(len(getattr(moves, name)))]
+    names = [f"{name} {k + 1}" for name in equations.row.names for k in range(len(getattr(largest, name)))]
     starts, terms = _pieces(moving, errors[columns], ACCURACY[single])
     return _Tables(columns, varying, rows[0], starts, terms, tuple(np.array(names)[columns].tolist()))
 
 
 @cache
 def _basis(length: int) -> tuple[Array, Array]:
-    """Return Chebyshev polynomials (L, T) at the ticks of a piece, and their pseudo-inverse (T, L)."""
+    """Return Chebyshev polynomials (L, T) at the ticks of a piece, and their pseudo-inverse (T, L), which fits them."""
     basis = chebvander(np.linspace(-1.0, 1.0, length), LARGE + SMALL - 1)
     # Polynomials of the lowest degree for pieces with fewer ticks than terms.
     inverse = np.pad(np.linalg.pinv(basis[:, :length]), ((0, max(LARGE + SMALL - length, 0)), (0, 0)))
@@ -212,7 +216,7 @@ def _basis(length: int) -> tuple[Array, Array]:
 
 
 def _coefficients(rows: Array) -> Array:
-    """Return coefficients (T, C) of a piece (L, C), the last ones in single precision."""
+    """Return coefficients (T, C) of the polynomials that fit a piece (L, C), the last ones in single precision."""
     terms = _basis(len(rows))[1] @ rows
     terms[LARGE:] = terms[LARGE:].astype(np.float32)
     return terms
@@ -223,18 +227,20 @@ def _pieces(rows: Array, errors: Array, accuracy: float) -> tuple[Array, Array]:
 
     errors (C,) are the command's errors by a unit of each column.
     """
-    starts, found = [0], []
+    starts, coefficients = [0], []
     while starts[-1] < len(rows):
-        rest = rows[starts[-1] : starts[-1] + LONGEST]
+        remaining = rows[starts[-1] : starts[-1] + LONGEST]
 
-        def misses(length: int, rest: Array = rest) -> bool:
-            away = _basis(length)[0] @ _coefficients(rest[:length]) - rest[:length]
-            return bool((np.abs(away) @ errors > accuracy).any())
+        # The default binds the rows of this piece, not those of the last one.
+        def misses(length: int, remaining: Array = remaining) -> bool:
+            """Return True if polynomials over the next `length` ticks miss the accuracy."""
+            errors_of_rows = _basis(length)[0] @ _coefficients(remaining[:length]) - remaining[:length]
+            return bool((np.abs(errors_of_rows) @ errors > accuracy).any())
 
-        length = bisect_left(range(len(rest) + 1), True, lo=2, key=misses) - 1
-        found.append(_coefficients(rest[:length]))
+        length = bisect_left(range(len(remaining) + 1), True, lo=2, key=misses) - 1
+        coefficients.append(_coefficients(remaining[:length]))
         starts.append(starts[-1] + length)
-    return np.array(starts), np.stack(found)
+    return np.array(starts), np.stack(coefficients)
 
 
 _ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", "acts", "now")
@@ -249,23 +255,23 @@ def _function(program: TickProgram, equations: TickEquations, tables: _Tables) -
     switch, age = ca.SX.sym("limit_switch"), ca.SX.sym("age")
     acts, now = ca.SX.sym("acts", len(tables.columns)), ca.SX.sym("now", size)
     entries, first = [ca.SX(value) for value in tables.constants.tolist()], equations.row.slices.state.start
-    wanted = [now[i] if tables.varying[first + i] else entries[first + i] for i in range(n)]
+    reference_angles = [now[i] if tables.varying[first + i] else entries[first + i] for i in range(n)]
     for place, column in enumerate(tables.columns.tolist()):
         if tables.varying[column]:
             entries[column] = acts[place]
-    given = ca.vertcat(*entries, *wanted)
+    table_row = ca.vertcat(*entries, *reference_angles)
     # Values that only a fallback changes are constant.
     parts = parts._replace(held=ca.SX(0))
     offset = ca.SX.sym("offset", n + 1)
     reading = equations.reading.joined(Measurement(measured, present, switch, age, ca.SX.zeros(n), offset))
     numbers = ca.SX(ca.DM(program.constants))
-    (out,) = equations.function().call([reading, given, numbers, equations.memory.joined(parts)], True, False)
+    (result,) = equations.function().call([reading, table_row, numbers, equations.memory.joined(parts)], True, False)
     inputs = [memory, measured, present, offset, switch, age, acts, now]
-    return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
+    return ca.Function("tick", inputs, [ca.cse(result)], [*_ARGUMENTS], ["out"], {"cse": True})
 
 
 def _start(program: TickProgram, equations: TickEquations) -> Array:
-    """Return the initial memory (M,)."""
+    """Return the initial memory (M,), with the state as a sum of two numbers if it is split for single precision."""
     start = program.stored[:, 0].copy()
     if not equations.split:
         return start
@@ -285,7 +291,8 @@ _CALLS = re.compile(r"\b(fabs|sqrt|a?sinh?|a?cosh?|a?tanh?|atan2|exp|log|pow)\("
 def _body(function: ca.Function, *, single: bool) -> str:
     """Return the statements of a function in C.
 
-    CasADi generates them; their frame is removed.
+    CasADi generates them; their frame is removed, its names of inputs and outputs become those of the templates, and
+    its helpers become the functions of the library.
     """
     generator = ca.CodeGenerator("tick", {"casadi_real": "dpc_real", "with_export": False})
     generator.add(function)
@@ -293,17 +300,17 @@ def _body(function: ca.Function, *, single: bool) -> str:
     begin = next(k for k, line in enumerate(lines) if line.startswith("static int casadi_f0("))
     end = lines.index("  return 0;", begin)
     body = "\n".join("    " + line.strip() for line in lines[begin + 1 : end])
-    body = _READ.sub(lambda found: f"{_ARGUMENTS[int(found[1])]}[{found[2]}]", body)
+    body = _READ.sub(lambda match: f"{_ARGUMENTS[int(match[1])]}[{match[2]}]", body)
     body = _WRITTEN.sub(r"out[\1]=", body)
-    own = {"casadi_real": "dpc_real", "casadi_inf": "(dpc_real)INFINITY", "casadi_fabs(": "fabs("}
-    for theirs, ours in {**own, **{f"casadi_{name[4:]}(": f"{name}(" for name in _HELPERS}}.items():
-        body = body.replace(theirs, ours)
-    body = _NUMBER.sub(lambda found: _c_number(float(found[0]), single=single), body)
+    names = {"casadi_real": "dpc_real", "casadi_inf": "(dpc_real)INFINITY", "casadi_fabs(": "fabs("}
+    for casadi_name, c_name in {**names, **{f"casadi_{name[4:]}(": f"{name}(" for name in _HELPERS}}.items():
+        body = body.replace(casadi_name, c_name)
+    body = _NUMBER.sub(lambda match: _c_number(float(match[0]), single=single), body)
     return _CALLS.sub(r"\1f(", body) if single else body
 
 
 def _c_number(value: float, *, single: bool) -> str:
-    """Return a number as C writes it."""
+    """Return a number as C writes it, with the suffix f in single precision; without it, C computes in double."""
     if np.isinf(value):
         return "(dpc_real)INFINITY" if value > 0 else "(dpc_real)-INFINITY"
     text = str(np.float32(value)) if single else repr(float(value))
@@ -312,8 +319,8 @@ def _c_number(value: float, *, single: bool) -> str:
 
 
 def _table(name: str, values: Array, *, single: bool) -> str:
-    """Return an array of any dimension in C."""
-    text = re.sub(r"[^][, ]+", lambda found: _c_number(float(found[0]), single=single), str(values.tolist()))
+    """Return the declaration of a constant array of any dimension in C."""
+    text = re.sub(r"[^][, ]+", lambda match: _c_number(float(match[0]), single=single), str(values.tolist()))
     sizes = "".join(f"[{size}]" for size in values.shape)
     braced = text.translate({ord("["): "{", ord("]"): "}\n"})
     return f"const dpc_real {name}{sizes} = {braced};\n"
@@ -355,14 +362,14 @@ def controller_source(
             "lower --rate, or export a shorter itinerary"
         )
     function = _function(program, equations, tables)
-    takes = None if clock is None else function.n_instructions() * CYCLES[single] / (1e6 * clock)
-    if takes is not None and not takes <= program.period / 2:
+    tick_s = None if clock is None else function.n_instructions() * CYCLES[single] / (1e6 * clock)
+    if tick_s is not None and not tick_s <= program.period / 2:
         raise InputError(
             f"export: --clock {clock:g}: in {'single' if single else 'double'} precision a tick takes some "
-            f"{1e3 * takes:.2g} ms at {clock:g} MHz and must leave half of its period of {1e3 * program.period:g} ms: "
+            f"{1e3 * tick_s:.2g} ms at {clock:g} MHz and must leave half of its period of {1e3 * program.period:g} ms: "
             f"{'' if single else 'use --float, '}lower --rate, or choose a faster target"
         )
-    known = {
+    placeholders = {
         "TITLE": _comment(f"{itinerary}: {title}"), "ITINERARY_COMMENT": _comment(itinerary),
         "ITINERARY": _string(itinerary), "LAW": _string(controller.kind),
         "IDENTITY": identity(program, schedule), "TICK": _body(function, single=single),
@@ -370,8 +377,8 @@ def controller_source(
         "TICKS": len(schedule.rows), "NAMES_OF_VALUES": ", ".join(tables.names),
         "PIECES": len(tables.terms), "LARGE": LARGE, "SMALL": SMALL, "VALUES": len(tables.columns),
     }  # fmt: skip
-    known["HELPERS"] = "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in known["TICK"])
-    files = {name: _filled(name, known) for name in _SOURCES}
+    placeholders["HELPERS"] = "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in placeholders["TICK"])
+    files = {name: _filled(name, placeholders) for name in _SOURCES}
     queued = schedule.queued if equations.lead else np.zeros(1)
     arrays = {"dpc_large": tables.terms[:, :LARGE], "dpc_start": _start(program, equations)}
     text = [_table(name, rows, single=single) for name, rows in {**arrays, "dpc_first_commands": queued}.items()]
@@ -385,15 +392,15 @@ def controller_source(
         operations=function.n_instructions(), code=code, stack=stack,
         memory=width * equations.memory.size + ctypes.sizeof(ctypes.c_long),
         tables=size, tables_per_second=size / seconds if len(tables.terms) > 1 else 0.0,
-        seconds_a_tick=takes,
+        seconds_a_tick=tick_s,
     )  # fmt: skip
-    known |= {f"BYTES_{name.upper()}": kibibytes(value) for name, value in figures._asdict().items()}
-    files |= {"README.md": _filled("README.md", known), "readings.csv": readings}
-    return ControllerSource(files, known["IDENTITY"], figures)
+    placeholders |= {f"BYTES_{name.upper()}": kibibytes(value) for name, value in figures._asdict().items()}
+    files |= {"README.md": _filled("README.md", placeholders), "readings.csv": readings}
+    return ControllerSource(files, placeholders["IDENTITY"], figures)
 
 
 def _described(program: TickProgram, equations: TickEquations, *, single: bool) -> dict[str, Any]:
-    """Return values for the templates: arms, clock, bounds and arithmetic."""
+    """Return the placeholders of the templates that describe arms, clock, bounds and arithmetic, by name."""
     n, extras = equations.filter.arms, equations.filter.extra_names
     bounds = {name: getattr(program.numbers, name).item(0)
               for name in ("acceleration", "lost_estimate", "lost_tracking", "missing")}  # fmt: skip
@@ -414,11 +421,11 @@ def _described(program: TickProgram, equations: TickEquations, *, single: bool) 
 
 
 def _laid_out(equations: TickEquations) -> dict[str, Any]:
-    """Return the indices of the tick's results for the C code."""
+    """Return the placeholders for the indices of memory and report, by which the C code reads the tick's results."""
     memory, report = equations.memory, equations.report
-    kept = ("z", "velocity", "heading", "stopped", "still", *(["origin"] if equations.split else []))
+    read_in_c = ("z", "velocity", "heading", "stopped", "still", *(["origin"] if equations.split else []))
     places = {
-        **{name: getattr(memory.slices, name).start for name in kept},
+        **{name: getattr(memory.slices, name).start for name in read_in_c},
         "sent_last": memory.slices.sent.stop - 1,
         **{name: memory.size + getattr(report.slices, name).start for name in report.names},
     }
@@ -437,8 +444,8 @@ _HELPERS = {
 
 
 def _filled(name: str, known: Mapping[str, Any]) -> str:
-    """Return a template with its placeholders between @ filled in."""
-    return re.sub(r"@([A-Z_]+)@", lambda found: str(known[found[1]]), (_TEMPLATES / name).read_text(encoding="utf-8"))
+    """Return a template with its placeholders between @ filled in by the values of `known`."""
+    return re.sub(r"@([A-Z_]+)@", lambda match: str(known[match[1]]), (_TEMPLATES / name).read_text(encoding="utf-8"))
 
 
 def _comment(text: str) -> str:
@@ -448,16 +455,16 @@ def _comment(text: str) -> str:
 
 
 def _string(text: str) -> str:
-    """Return a text as a C string."""
+    """Return a text as a C string, with all but harmless characters in octal."""
     safe = frozenset(b"-_ .,:+()")
-    return "".join(chr(one) if (chr(one).isalnum() and one < 128) or one in safe else f"\\{one:03o}"
-                   for one in text.encode("utf-8", "replace"))  # fmt: skip
+    return "".join(chr(byte) if (chr(byte).isalnum() and byte < 128) or byte in safe else f"\\{byte:03o}"
+                   for byte in text.encode("utf-8", "replace"))  # fmt: skip
 
 
 def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
-    """Return the sizes of code and stack from gcc, in bytes.
+    """Return the sizes of the controller's code and of a step's stack from gcc, in bytes.
 
-    The result is None if gcc is missing or fails.
+    Both are None if gcc is missing or fails. `files`: texts of the C files by name.
     """
     with TemporaryDirectory(prefix="dpcontrol-") as name:
         folder = Path(name)
@@ -466,17 +473,17 @@ def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
         flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fno-asynchronous-unwind-tables", "-fstack-usage", "-c"]
         try:
             for command in (["gcc", *flags, "dpc_controller.c"], ["size", "dpc_controller.o"]):
-                done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=True)
-            code = int(done.stdout.splitlines()[1].split()[0])
+                process = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=True)
+            code = int(process.stdout.splitlines()[1].split()[0])
             usage = (folder / "dpc_controller.su").read_text(encoding="utf-8").splitlines()
-            step = sum(
+            step_stack = sum(
                 int(size)
                 for place, size, *_ in (line.split("\t") for line in usage)
                 if re.search(r":dpc_(step|tick)\b", place)
             )
         except (OSError, ValueError, LookupError, subprocess.SubprocessError):
             return None, None
-    return code, step
+    return code, step_stack
 
 
 _COMPILED = ("dpc_controller.c", "dpc_tables.c", "fmu.c")
@@ -570,12 +577,12 @@ def model_description(
         delay: assumed delay of the commands, in periods.
         ticks: number of ticks.
     """
-    more = f"; let it act {delay - 1:g} periods later" if delay > 1 else ""
+    advice = f"; let it act {delay - 1:g} periods later" if delay > 1 else ""
     root = ET.Element("fmiModelDescription", {
         "fmiVersion": "2.0", "modelName": name, "guid": guid, "variableNamingConvention": "flat",
         "generationTool": PROGRAM,
         "description": f"{title}: estimator, control law and supervisor, one tick per step of {period!r} s. Commands "
-        f"must act {delay:g} periods after their readings; a step gives the command after one{more}.",
+        f"must act {delay:g} periods after their readings; a step gives the command after one{advice}.",
     })  # fmt: skip
     unit = ET.SubElement(root, "CoSimulation", {"modelIdentifier": identifier})
     files = ET.SubElement(unit, "SourceFiles")
@@ -586,18 +593,20 @@ def model_description(
         base = ET.SubElement(units, "Unit", {"name": text})
         ET.SubElement(base, "BaseUnit", {key: str(power) for key, power in powers.items()})
     ET.SubElement(ET.SubElement(root, "LogCategories"), "Category", {"name": "logStatusError"})
-    whole = {"startTime": "0", "stopTime": repr((ticks - 1) * period), "stepSize": repr(period)}
-    ET.SubElement(root, "DefaultExperiment", whole)
-    listed = ET.SubElement(root, "ModelVariables")
+    experiment = {"startTime": "0", "stopTime": repr((ticks - 1) * period), "stepSize": repr(period)}
+    ET.SubElement(root, "DefaultExperiment", experiment)
+    variable_list = ET.SubElement(root, "ModelVariables")
     counts, outputs = {"Real": 0, "Integer": 0, "Boolean": 0}, []
-    for k, one in enumerate(known):
-        role = {"causality": "input"} if one.start else {"causality": "output", "initial": "calculated"}
-        discrete = {"name": one.name, "valueReference": str(counts[one.kind]), "description": one.text}
-        variable = ET.SubElement(listed, "ScalarVariable", {**discrete, **role, "variability": "discrete"})
-        declared = {"unit": one.unit} if one.unit else {}
-        ET.SubElement(variable, one.kind, {**declared, **({"start": one.start} if one.start else {})})
-        counts[one.kind] += 1
-        if not one.start:
+    for k, variable in enumerate(known):
+        role = {"causality": "input"} if variable.start else {"causality": "output", "initial": "calculated"}
+        attributes = {"name": variable.name, "valueReference": str(counts[variable.kind]), "description": variable.text}
+        element = ET.SubElement(variable_list, "ScalarVariable", {**attributes, **role, "variability": "discrete"})
+        type_attributes = {"unit": variable.unit} if variable.unit else {}
+        ET.SubElement(
+            element, variable.kind, {**type_attributes, **({"start": variable.start} if variable.start else {})}
+        )
+        counts[variable.kind] += 1
+        if not variable.start:
             outputs.append(str(k + 1))
     structure = ET.SubElement(root, "ModelStructure")
     for part in ("Outputs", "InitialUnknowns"):
@@ -639,15 +648,15 @@ def controller_unit(
     sources["fmu.c"] = template.replace("@GUID@", guid)
     identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
     identifier = identifier if identifier[:1].isalpha() else f"dpc_{identifier}"
-    known = variables(controller.first_state.tolist(), program.equations.filter.extra_names)
-    described = model_description(
-        known, name=name, identifier=identifier, guid=guid, title=title, period=program.period, delay=delay,
+    unit_variables = variables(controller.first_state.tolist(), program.equations.filter.extra_names)
+    description = model_description(
+        unit_variables, name=name, identifier=identifier, guid=guid, title=title, period=program.period, delay=delay,
         ticks=controller.ticks + 1,
     )  # fmt: skip
     binary, lacks = _binary(sources)
     stream = BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        _add(archive, "modelDescription.xml", described)
+        _add(archive, "modelDescription.xml", description)
         for file, text in sources.items():
             _add(archive, f"sources/{file}", text.encode())
         if binary is not None:
@@ -657,11 +666,12 @@ def controller_unit(
 
 
 def _here() -> tuple[str, str]:
+    """Return the names of the operating system and of the processor, as in `_PLATFORMS`."""
     return platform.system(), platform.machine()
 
 
 def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
-    """Add a file to an archive."""
+    """Add a file to an archive, with a constant date, so that the same content gives the same bytes."""
     # The same content gives the same bytes.
     entry = zipfile.ZipInfo(name, _EPOCH)
     entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
@@ -669,9 +679,9 @@ def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
 
 
 def _binary(sources: Mapping[str, str]) -> tuple[bytes | None, str]:
-    """Return the shared library for this platform.
+    """Return the shared library of a unit for this platform, and "", or None and the reason for its absence.
 
-    If it is missing, return the reason for its absence.
+    `sources`: texts of the C files by name.
     """
     if _here() not in _PLATFORMS:
         return None, f"FMI 2.0 has no name for a binary of {' '.join(_here())}: the unit has its sources only"
@@ -683,8 +693,8 @@ def _binary(sources: Mapping[str, str]) -> tuple[bytes | None, str]:
         for file, text in sources.items():
             (folder / file).write_text(text, encoding="utf-8")
         command = [compiler, *_FLAGS, "-o", "unit", *_COMPILED, "-lm"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode:
-            why = (done.stderr.strip().splitlines() or ["it gave no reason"])[0]
-            return None, f"{compiler} did not compile the unit ({why}): it has its sources only"
+        process = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if process.returncode:
+            reason = (process.stderr.strip().splitlines() or ["it gave no reason"])[0]
+            return None, f"{compiler} did not compile the unit ({reason}): it has its sources only"
         return (folder / "unit").read_bytes(), ""

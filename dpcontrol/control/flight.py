@@ -68,7 +68,7 @@ _SHORTEST, _LONGEST = 0.1, 5.0
 
 
 def braking_gains(arms: ArmChainParameters) -> Array:
-    """Return the gains of the braking law on position and velocity of the cart, 1/s² and 1/s.
+    """Return the gains of the braking law on position and velocity of the cart, 1/s² and 1/s, by which a cart rests.
 
     Args:
         arms: the arms, by whose natural time the cart brakes.
@@ -108,7 +108,7 @@ class Target(Brief):
     costs: Array
 
     def nearest(self, states: Array, costs: Array | None = None) -> tuple[Array, NDArray[np.intp], Array]:
-        """Return the cost-to-go of the nearest place, its index and the difference from it.
+        """Return the cost-to-go from states to their nearest places, the places' indices, and the differences.
 
         Args:
             states: states (S, N).
@@ -118,13 +118,13 @@ class Target(Brief):
             Costs (S,), indices (S,) and differences (S, N).
         """
         n = states.shape[1] // 2 - 1
-        away = states[:, None, :] - self.states
-        away[:, :, :n] -= whole_turns(away[:, :, :n])
+        differences = states[:, None, :] - self.states
+        differences[:, :, :n] -= whole_turns(differences[:, :, :n])
         costs = self.costs if costs is None else costs
-        values = np.einsum("smi,mij,smj->sm", away, costs, away, optimize=len(self.states) > 1)
-        place = np.argmin(values, axis=1)
+        all_costs = np.einsum("smi,mij,smj->sm", differences, costs, differences, optimize=len(self.states) > 1)
+        place = np.argmin(all_costs, axis=1)
         rows = np.arange(len(states))
-        return values[rows, place], place, away[rows, place]
+        return all_costs[rows, place], place, differences[rows, place]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ class Flights(Brief):
         Args:
             rows: their indices, or a mask (S,).
         """
-        return replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)})
+        return replace(self, **{attribute.name: getattr(self, attribute.name)[rows] for attribute in fields(self)})
 
     @property
     def reached(self) -> NDArray[np.bool_]:
@@ -165,7 +165,7 @@ class Flights(Brief):
 
 @lru_cache(maxsize=4)
 def _programs(equations: Equations) -> tuple[Compiled, Compiled]:
-    """Return the compiled steps forward and backward."""
+    """Return the compiled steps forward and backward (`_FlightStep`), which all planners of these equations share."""
     step = _step(equations)
     return Compiled(step.forward()), Compiled(step.backward())
 
@@ -182,21 +182,28 @@ class FlightPlanner:
     """
 
     def __init__(self, arms: ArmChainParameters, limits: Limits) -> None:
+        """Prepare a planner: its limits and parameters in the units of the laboratory's arms, and its compiled steps.
+
+        Args:
+            arms: parameters of the arms.
+            limits: limits of the cart, of which the flights leave a reserve.
+        """
         scale = Scale.of(arms)
         equations = arm_chain_equations(arms.count, Level.CART, friction=arms.friction)
         self._n, self._scale, self._factors = equations.dimension, scale, scale.state(arms.count)
         self._limits = limits = scale.limits(limits)
-        most, fastest = _RESERVE_ACCELERATION * limits.acceleration, _RESERVE_SPEED * limits.velocity
+        acceleration, speed = _RESERVE_ACCELERATION * limits.acceleration, _RESERVE_SPEED * limits.velocity
         track = limits.position
-        self._terms = np.array([most, track - min(_RESERVE_TRACK, _TRACK_SHARE * track), fastest, 0.0])
+        self._terms = np.array([acceleration, track - min(_RESERVE_TRACK, _TRACK_SHARE * track), speed, 0.0])
         self._forward, self._backward = _programs(equations)
-        rough = replace(arms, **dict.fromkeys(("viscous", *arms.friction), (1.0,) * arms.count))
-        sizes = rough.scaled(scale.length, scale.time).base(), rough.base()
+        # Ones in place of friction: parameters that are zero have a scale as well.
+        with_friction = replace(arms, **dict.fromkeys(("viscous", *arms.friction), (1.0,) * arms.count))
+        sizes = with_friction.scaled(scale.length, scale.time).base(), with_friction.base()
         self._sizes = np.divide(*sizes, out=np.ones_like(sizes[0]), where=sizes[1] != 0)
         self._parameters = self._sizes * arms.base()
 
     def plan(self, states: Array, target: Target) -> Flights:
-        """Return flights from states to a target.
+        """Return the best flight from each state to a target, of several first durations.
 
         Args:
             states: states (S, N).
@@ -215,38 +222,39 @@ class FlightPlanner:
         nodes, inputs, _ = self._flown(begin, np.zeros((STEPS, lanes)), np.zeros_like(gains), gains, STAGES[0].soft)
         flights = self._searched(nodes, inputs, self._scaled(target), STAGES)
         # Those that fail are compared by their cost as well.
-        best = (flights.objectives + _FAILED * ~flights.reached).reshape(count, guesses)
-        chosen = np.argmin(best, axis=1) + guesses * np.arange(count)
+        penalised = (flights.objectives + _FAILED * ~flights.reached).reshape(count, guesses)
+        chosen = np.argmin(penalised, axis=1) + guesses * np.arange(count)
         flights = flights.picked(chosen)
         flights.nodes[:, :, :arms] += turns[:, None]
         return self._unscaled(flights)
 
     def with_parameters(self, parameters: Array) -> "FlightPlanner":
-        """Return a planner with the same limits for similar arms.
+        """Return a planner with the same limits for similar arms, whose parameters a filter has estimated.
 
         Args:
             parameters: base parameters (p,) of the same equations.
         """
-        other = copy(self)
-        other._parameters = self._sizes * parameters
-        return other
+        similar = copy(self)
+        similar._parameters = self._sizes * parameters
+        return similar
 
     def with_room(self, room: Limits, *, centring: float) -> "FlightPlanner":
-        """Return a planner whose flights have other limits.
+        """Return a planner whose flights keep other limits, and may prefer the middle of the track.
 
         Args:
             room: limits of the flights.
             centring: weight of the cart's squared distance from the middle, 1/s⁴ for the laboratory's arms.
         """
-        other, limits = copy(self), self._scale.limits(room)
-        other._terms = np.array([limits.acceleration, limits.position, limits.velocity, centring])
-        return other
+        changed, limits = copy(self), self._scale.limits(room)
+        changed._terms = np.array([limits.acceleration, limits.position, limits.velocity, centring])
+        return changed
 
     def _scaled(self, target: Target) -> Target:
+        """Return a target in the units of the laboratory's arms, in which the search runs."""
         return Target(self._factors * target.states, target.costs / np.outer(self._factors, self._factors))
 
     def _unscaled(self, flights: Flights) -> Flights:
-        """Return flights in the arms' own units."""
+        """Return flights in the arms' own units, from the units of the laboratory's arms."""
         return replace(
             flights,
             durations=flights.durations / self._scale.time,
@@ -255,7 +263,7 @@ class FlightPlanner:
         )
 
     def timed(self, start: Array, target: Target, durations: Array, inputs: Array, *, fixed: bool) -> Flights:
-        """Return the flights from a state to which several durations and first inputs lead.
+        """Return the flights from a state to which several durations and first inputs lead, as guesses of transfers.
 
         Args:
             start: state (N,).
@@ -276,7 +284,7 @@ class FlightPlanner:
     def lands(self, state: Array, nodes: Array, inputs: Array, gains: Array, step: float, target: Target) -> bool:
         """Return True if feedback leads from a state near a flight to its target, with the cart on its track.
 
-        Inputs are limited to the drive's acceleration.
+        A planned flight is then kept, and no other one is searched. Inputs are limited to the drive's acceleration.
 
         Args:
             state: state (N,).
@@ -291,12 +299,14 @@ class FlightPlanner:
         nominal, feedback = np.full((len(inputs), n + 1, 1), step), np.zeros((len(inputs), n + 1, 1))
         nominal[:, :n, 0], feedback[:, :n, 0] = factors * nodes, -push * gains / factors
         begin = np.append(factors * state, step)[:, None]
-        flown, _, _ = self._flown(begin, push * inputs[:, None], nominal, feedback, 0.0, most=self._limits.acceleration)
-        ends = self._scaled(target).nearest(flown[-1, :n].T)[0]
-        return bool(ends[0] < JOINED and np.abs(flown[:, n - 2]).max() < self._limits.position - _NEAR_STOP)
+        nodes_flown, _, _ = self._flown(
+            begin, push * inputs[:, None], nominal, feedback, 0.0, most=self._limits.acceleration
+        )
+        ends = self._scaled(target).nearest(nodes_flown[-1, :n].T)[0]
+        return bool(ends[0] < JOINED and np.abs(nodes_flown[:, n - 2]).max() < self._limits.position - _NEAR_STOP)
 
     def states(self, nodes: Array, inputs: Array, duration: float, times: Array) -> tuple[Array, Array]:
-        """Return states (T, N) and inputs (T,) of a flight.
+        """Return states (T, N) and inputs (T,), m/s², of a flight at any times, by integration from its nodes.
 
         Args:
             nodes: its states (K+1, N) at the ends of equal steps.
@@ -308,58 +318,73 @@ class FlightPlanner:
         step = np.minimum((times / duration * count).astype(int), count - 1)
         lengths = scale.time * (times - step * (duration / count))
         begin = np.vstack([(self._factors * nodes[step]).T, lengths])
-        still, pushes = np.zeros((1, self._n + 1, len(times))), scale.acceleration * inputs[step]
-        after, _, _ = self._flown(begin, pushes[None], still, still, 0.0, most=np.inf)
-        return after[1, : self._n].T / self._factors, inputs[step]
+        no_feedback, pushes = np.zeros((1, self._n + 1, len(times))), scale.acceleration * inputs[step]
+        nodes_after, _, _ = self._flown(begin, pushes[None], no_feedback, no_feedback, 0.0, most=np.inf)
+        return nodes_after[1, : self._n].T / self._factors, inputs[step]
 
     def _flown(
         self, begin: Array, away: Array, nominal: Array, gains: Array, soft: float, *, most: float | None = None
     ) -> tuple[Array, Array, Array]:
-        """Return nodes (STEPS+1, N+1, L), inputs (STEPS, L) and costs (L,) of motions from `begin` (N+1, L)."""
-        n, lanes, program, count = self._n, begin.shape[1], self._forward, len(away)
-        rows = np.empty((count, program.size_in, lanes))
-        rows[:, program.slices["away"].start] = away
-        rows[:, program.slices["nominal"]], rows[:, program.slices["gains"]] = nominal, gains
-        rows[:, program.slices["soft"]], rows[:, program.slices["terms"]] = soft, self._terms[:, None]
-        rows[:, program.slices["terms"].start] = most or self._terms[0]
-        rows[:, program.slices["parameters"]] = self._parameters[:, None]
-        out, machine = np.empty((count, program.size_out, lanes)), program.machine
-        now = begin
+        """Return nodes (K+1, N+1, L), inputs (K, L) and costs (L,) of L motions from `begin` (N+1, L).
+
+        The search compares them. All numbers are in the units of the laboratory's arms, and the last entry of a node is
+        the length of a step, s. The costs lack that of the end.
+
+        `away` (K, L): inputs to which the feedback is added, m/s². `nominal`, `gains` (K, N+1, L): the states about
+        which the feedback acts, and its gains. `soft`: weight of the soft limits. `most`: largest input, m/s², by
+        default that of a flight.
+        """
+        n, lanes, step, count = self._n, begin.shape[1], self._forward, len(away)
+        rows = np.empty((count, step.size_in, lanes))
+        rows[:, step.slices["away"].start] = away
+        rows[:, step.slices["nominal"]], rows[:, step.slices["gains"]] = nominal, gains
+        rows[:, step.slices["soft"]], rows[:, step.slices["terms"]] = soft, self._terms[:, None]
+        rows[:, step.slices["terms"].start] = most or self._terms[0]
+        rows[:, step.slices["parameters"]] = self._parameters[:, None]
+        results, machine = np.empty((count, step.size_out, lanes)), step.machine
+        node = begin
         for k in range(count):
-            rows[k, : n + 1] = now
-            machine(rows[k], out[k])
-            now = out[k, : n + 1]
-        nodes = np.concatenate([begin[None], out[:, : n + 1]])
-        return nodes, out[:, n + 1], out[:, n + 2].sum(axis=0)
+            rows[k, : n + 1] = node
+            machine(rows[k], results[k])
+            node = results[k, : n + 1]
+        nodes = np.concatenate([begin[None], results[:, : n + 1]])
+        return nodes, results[:, n + 1], results[:, n + 2].sum(axis=0)
 
     def _searched(
         self, nodes: Array, inputs: Array, target: Target, stages: Sequence[Stage], *, fixed: bool = False
     ) -> Flights:
-        """Return the flights that the stages lead to from nominal motions."""
+        """Return the flights to which the stages of the search lead from L nominal motions.
+
+        `nodes` (STEPS+1, N+1, L), `inputs` (STEPS, L) m/s²: the nominal motions, see `_flown`. `target`: in the same
+        units. `fixed`: True to keep the durations. In an iteration, each lane tries the lengths of a line search, and
+        keeps its motion unless a trial is better.
+        """
         lanes, n, count = nodes.shape[2], self._n, len(inputs)
         regularity = np.full(lanes, 1e-6)
         total = np.full(lanes, np.inf)
         for stage in stages:
             weights = self._end_weights(stage, target)
-            nominal = self._flown(nodes[0], inputs, nodes[:-1], np.zeros_like(nodes[:-1]), stage.soft)
-            total = self._total(nominal, target, weights)
+            flown = self._flown(nodes[0], inputs, nodes[:-1], np.zeros_like(nodes[:-1]), stage.soft)
+            total = self._total(flown, target, weights)
             for _ in range(stage.iterations):
                 forward, gains, slope, curvature = self._improved(nodes, inputs, target, weights, stage, regularity)
                 limit = (0.0 if fixed else _LONGER) * nodes[0, n]
-                longer = np.clip(-slope / np.maximum(curvature, 1e-9), -limit, limit)
-                tried = len(_LENGTHS)
-                begin = np.tile(nodes[0], tried)
-                begin[n] += np.outer(_LENGTHS, longer).ravel()
-                begin[n] = np.clip(begin[n], _SHORTEST / STEPS, _LONGEST / STEPS)
-                away = (inputs[:, None] + _LENGTHS[:, None] * forward[:, None]).reshape(count, -1)
-                others = self._flown(begin, away, np.tile(nodes[:-1], tried), np.tile(gains, tried), stage.soft)
-                totals = self._total(others, target, weights).reshape(tried, lanes)
-                best = np.argmin(totals, axis=0)
-                better = totals[best, np.arange(lanes)] < total
-                picked = best * lanes + np.arange(lanes)
-                nodes = np.where(better, others[0][:, :, picked], nodes)
-                inputs = np.where(better, others[1][:, picked], inputs)
-                total = np.where(better, totals[best, np.arange(lanes)], total)
+                step_change = np.clip(-slope / np.maximum(curvature, 1e-9), -limit, limit)
+                trials = len(_LENGTHS)
+                trial_begin = np.tile(nodes[0], trials)
+                trial_begin[n] += np.outer(_LENGTHS, step_change).ravel()
+                trial_begin[n] = np.clip(trial_begin[n], _SHORTEST / STEPS, _LONGEST / STEPS)
+                trial_inputs = (inputs[:, None] + _LENGTHS[:, None] * forward[:, None]).reshape(count, -1)
+                candidates = self._flown(
+                    trial_begin, trial_inputs, np.tile(nodes[:-1], trials), np.tile(gains, trials), stage.soft
+                )
+                trial_totals = self._total(candidates, target, weights).reshape(trials, lanes)
+                best_trial = np.argmin(trial_totals, axis=0)
+                better = trial_totals[best_trial, np.arange(lanes)] < total
+                best_lanes = best_trial * lanes + np.arange(lanes)
+                nodes = np.where(better, candidates[0][:, :, best_lanes], nodes)
+                inputs = np.where(better, candidates[1][:, best_lanes], inputs)
+                total = np.where(better, trial_totals[best_trial, np.arange(lanes)], total)
                 regularity = np.clip(np.where(better, regularity / 4, regularity * 10), 1e-9, 1e3)
         costs, places, _ = target.nearest(nodes[-1, :n].T)
         position, velocity = np.abs(nodes[1:, n - 2 : n]).max(axis=0)
@@ -368,13 +393,16 @@ class FlightPlanner:
         return Flights(count * nodes[0, n], states, inputs.T.copy(), costs, places, total, inside)
 
     def _total(self, flown: tuple[Array, Array, Array], target: Target, weights: Array) -> Array:
-        """Return J (L,) of motions, infinite if they diverge."""
+        """Return J (L,) of motions, the results of `_flown`; infinite for those that diverge, which are not chosen.
+
+        `weights` (M, N, N): matrices of the end's cost at the M places of the target.
+        """
         nodes, _, costs = flown
         totals = costs + target.nearest(nodes[-1, : self._n].T, weights)[0] / 2
         return np.where(np.isfinite(totals) & (totals > 0), totals, np.inf)
 
     def _end_weights(self, stage: Stage, target: Target) -> Array:
-        """Return the matrices (M, N, N) of the end's cost in a stage."""
+        """Return the matrices (M, N, N) of the end's cost in a stage, one for each place of the target."""
         if not stage.diagonal:
             return stage.end * target.costs
         arms = self._n // 2 - 1
@@ -384,26 +412,38 @@ class FlightPlanner:
     def _improved(
         self, nodes: Array, inputs: Array, target: Target, weights: Array, stage: Stage, regularity: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Return changes of inputs (STEPS, L), gains (STEPS, N+1, L), and J's slope and curvature (L,) by the step."""
+        """Return iLQR's improvement of L motions: changes of inputs, gains, and J's slope and curvature by the step.
+
+        They are (STEPS, L) in m/s², (STEPS, N+1, L), (L,) and (L,). The backward recursion runs along `nodes` (STEPS+1,
+        N+1, L) and `inputs` (STEPS, L).
+
+        `weights` (M, N, N): of the end's cost. `regularity` (L,): added to the curvature by the input, larger after a
+        failed iteration.
+        """
         n, lanes, program = self._n, nodes.shape[2], self._backward
         size = n + 1
         rows = np.empty((program.size_in, lanes))
         rows[program.slices["soft"]], rows[program.slices["terms"]] = stage.soft, self._terms[:, None]
         rows[program.slices["regularity"]] = regularity
         rows[program.slices["parameters"]] = self._parameters[:, None]
-        _, place, away = target.nearest(nodes[-1, :n].T, weights)
+        _, place, differences = target.nearest(nodes[-1, :n].T, weights)
         hessian = np.zeros((size, size, lanes))
         hessian[:n, :n] = weights[place].transpose(1, 2, 0)
         gradient = np.zeros((size, lanes))
-        gradient[:n] = np.einsum("sij,sj->is", weights[place], away)
+        gradient[:n] = np.einsum("sij,sj->is", weights[place], differences)
         value = np.concatenate([gradient, hessian.reshape(size * size, lanes)])
-        into, moving, pushed = program.slices["value"], program.slices["moving"], program.slices["input"].start
-        out, machine = np.empty((len(inputs), program.size_out, lanes)), program.machine
+        value_rows, node_rows, input_row = (
+            program.slices["value"],
+            program.slices["moving"],
+            program.slices["input"].start,
+        )
+        results, machine = np.empty((len(inputs), program.size_out, lanes)), program.machine
         for k in range(len(inputs) - 1, -1, -1):
-            rows[moving], rows[pushed], rows[into] = nodes[k], inputs[k], value
-            machine(rows, out[k])
-            value = out[k, size + 1 :]
-        return out[:, 0], out[:, 1 : size + 1], value[n], value[size + n * size + n]
+            rows[node_rows], rows[input_row], rows[value_rows] = nodes[k], inputs[k], value
+            machine(rows, results[k])
+            value = results[k, size + 1 :]
+        # The step's length is the last state, so its slope and curvature are in the value at the first node.
+        return results[:, 0], results[:, 1 : size + 1], value[n], value[size + n * size + n]
 
 
 @dataclass(frozen=True, eq=False)
@@ -475,18 +515,19 @@ class Flight(Concluded, Timed):
         return self._at(checked_times(times))[1]
 
     def _at(self, times: Array) -> tuple[Array, Array]:
-        within = np.clip(times.ravel(), 0.0, self.duration)
-        states, inputs = self.planner.states(self.nodes, self.inputs, self.duration, within)
+        """Return states (…, N) and inputs (…), m/s², at times (…), s; times outside the flight count as its ends."""
+        clipped = np.clip(times.ravel(), 0.0, self.duration)
+        states, inputs = self.planner.states(self.nodes, self.inputs, self.duration, clipped)
         return states.reshape(*times.shape, self.nodes.shape[1]), inputs.reshape(times.shape)
 
     def document(self) -> dict[str, Any]:
         """Return the flight as JSON values."""
-        own = {name: getattr(self, name) for name in ("target", "duration", "cost", "inputs", "nodes", "converged")}
-        return {**own, "cause": self.cause, "limits": self.limits.named()}
+        values = {name: getattr(self, name) for name in ("target", "duration", "cost", "inputs", "nodes", "converged")}
+        return {**values, "cause": self.cause, "limits": self.limits.named()}
 
 
 def _beyond(value: ca.SX, limit: ca.SX) -> ca.SX:
-    """Return the signed excess of a value over a symmetric limit."""
+    """Return the signed excess of a value over a symmetric limit, zero within it, for the soft limits."""
     return ca.if_else(value > limit, value - limit, ca.if_else(value < -limit, value + limit, 0))
 
 
@@ -510,24 +551,30 @@ class _FlightStep:
     excess: ca.SX
 
     def forward(self) -> ca.Function:
-        """Return the step under feedback: (moving, input, cost) from an input, a nominal state and gains about it."""
+        """Return the step under feedback: (moving, input, cost) from an input, a nominal state and gains about it.
+
+        The input is limited to the largest one, and `cost` is the step's part of J.
+        """
         size, z = self.moving.shape[0], self.moving
-        away, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", size), ca.SX.sym("gains", size)
-        most = self.terms[0]
-        command = ca.fmax(-most, ca.fmin(most, away + ca.dot(gains, z - nominal)))
+        input_before_feedback, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", size), ca.SX.sym("gains", size)
+        largest = self.terms[0]
+        command = ca.fmax(-largest, ca.fmin(largest, input_before_feedback + ca.dot(gains, z - nominal)))
         following, cost = ca.substitute([self.accurate, self.cost], [self.input], [command])
-        out = ca.cse(ca.densify(ca.vertcat(following, z[size - 1], command, cost)))
+        result = ca.cse(ca.densify(ca.vertcat(following, z[size - 1], command, cost)))
         names = ["moving", "away", "nominal", "gains", "soft", "terms", "parameters"]
-        inputs = [z, away, nominal, gains, self.soft, self.terms, self.parameters]
-        return ca.Function("flight_forward", inputs, [out], names, ["out"])
+        inputs = [z, input_before_feedback, nominal, gains, self.soft, self.terms, self.parameters]
+        return ca.Function("flight_forward", inputs, [result], names, ["out"])
 
     def backward(self) -> ca.Function:
-        """Return one step of the backward recursion.
+        """Return one step of iLQR's backward recursion, from the value at the step's end to that at its begin.
 
         Its outputs are the change of the input, the gains (N+1,), and gradient (N+1,) and Hessian ((N+1)²,) of the
         value.
+
+        In the formulas, q_… are derivatives of the step's cost plus the value at its end, by the state z and by the
+        input u. An input at its limit has zero gains.
         """
-        z, u, most = self.moving, self.input, self.terms[0]
+        z, u, largest = self.moving, self.input, self.terms[0]
         size = z.shape[0]
         h, n = z[size - 1], size - 1
         gradient, hessian = ca.SX.sym("gradient", size), ca.SX.sym("hessian", size, size)
@@ -543,20 +590,23 @@ class _FlightStep:
         q_uz = pushed @ by_state + ca.horzcat(ca.SX.zeros(1, n), _EFFORT * u)
         q_uu = h * _EFFORT + ca.fmax(pushed @ by_input, 0) + regularity
         free = -q_u / q_uu
-        change = ca.fmax(-most - u, ca.fmin(most - u, free))
+        change = ca.fmax(-largest - u, ca.fmin(largest - u, free))
         gains = ca.if_else(change == free, -q_uz / q_uu, ca.SX.zeros(1, size)).T
         new_gradient = q_z + gains @ (q_uu @ change + q_u) + q_uz.T @ change
         new_hessian = q_zz + q_uu * gains @ gains.T + gains @ q_uz + q_uz.T @ gains.T
-        out = ca.vertcat(change, gains, new_gradient, ca.vec((new_hessian + new_hessian.T) / 2))
+        result = ca.vertcat(change, gains, new_gradient, ca.vec((new_hessian + new_hessian.T) / 2))
         value = ca.SX.sym("value", size + size * size)
-        out = ca.cse(ca.densify(ca.substitute(out, ca.vertcat(gradient, ca.vec(hessian)), value)))
+        result = ca.cse(ca.densify(ca.substitute(result, ca.vertcat(gradient, ca.vec(hessian)), value)))
         names = ["moving", "input", "value", "soft", "terms", "regularity", "parameters"]
         inputs = [z, u, value, self.soft, self.terms, regularity, self.parameters]
-        return ca.Function("flight_backward", inputs, [out], names, ["out"])
+        return ca.Function("flight_backward", inputs, [result], names, ["out"])
 
 
 def _step(equations: Equations) -> _FlightStep:
-    """Return the step of a motion with its cost."""
+    """Return one Runge-Kutta step of a motion as expressions, with its part of J, from which iLQR's functions are made.
+
+    `equations`: cart-level equations of the arms.
+    """
     n, x, u, p = equations.dimension, equations.state, equations.inputs, equations.parameters
     h, soft, terms, slope = ca.SX.sym("step"), ca.SX.sym("soft"), ca.SX.sym("terms", 4), equations.function()
     excess = ca.vertcat(

@@ -89,6 +89,11 @@ class ProgramSession(Session):
     """
 
     def __init__(self, program: Program) -> None:
+        """Begin with the first segment.
+
+        Args:
+            program: the stays and flights.
+        """
         self._program = program
         self._index = 0
         self._began = 0
@@ -97,7 +102,7 @@ class ProgramSession(Session):
         self._past = np.nan
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the commands for the period from a tick.
+        """Return the action of the active segment for the period from a tick, after a handover if it has ended.
 
         Args:
             tick: the tick in which the command acts.
@@ -109,20 +114,26 @@ class ProgramSession(Session):
         return action._replace(reference=action.reference + self._lift, event=event or action.event)
 
     def _due(self, tick: int) -> bool:
-        """True if the active segment has ended."""
+        """Return True if the active segment has ended: a flight after its ticks, a stay also at its phase of leaving.
+
+        `tick`: the tick in which the command acts.
+        """
         program, index = self._program, self._index
         if index + 1 == len(program.segments) or tick - self._began < program.lasts[index]:
             return False
         session = self._session
         if not isinstance(session, OgySession | OrbitSession):
             return True
-        whole, before = session.orbit_period, self._past
-        self._past = (session.time + program.period - program.waits[index // 2]) % whole
+        orbit_period, previous = session.orbit_period, self._past
+        self._past = (session.time + program.period - program.waits[index // 2]) % orbit_period
         # The section is passed when the elapsed time resets; NaN: the next segment may begin at any phase.
-        return np.isnan(self._past) or before - self._past > whole / 2
+        return np.isnan(self._past) or previous - self._past > orbit_period / 2
 
     def _hand_over(self, tick: int, state: Array) -> str:
-        """Begin the next segment, and return a sentence for the log."""
+        """Begin the next segment at this tick and state (N,), and return a sentence for the log.
+
+        A flight gets the whole turns between the state and its reference; an orbit's session counts its own.
+        """
         self._index += 1
         self._began, self._past = tick, np.nan
         segment = self._program.segments[self._index]
@@ -134,7 +145,7 @@ class ProgramSession(Session):
         return f"hand over to {segment.controller.kind}: {segment.name}"
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Synchronise the active segment's clock, and describe the change.
+        """Move the active segment's clock to the phase nearest to a state, and return a sentence for the log.
 
         Args:
             tick: present tick.
@@ -144,7 +155,7 @@ class ProgramSession(Session):
 
 
 def program(stays: Sequence[Keep], flights: Sequence[Fly], *, period: float, kind: str) -> Program:
-    """Return the program that flies from each stay to the next.
+    """Return the program that stays at each orbit for its wraps, and flies from each stay to the next.
 
     Args:
         stays: stays (F+1) in order.
@@ -172,6 +183,7 @@ def program(stays: Sequence[Keep], flights: Sequence[Fly], *, period: float, kin
 
 
 def _check_near(stay: Keep, state: Array, what: str) -> None:
+    """Raise GoalMissed if a flight's end, a state (N,), is far from the orbit of a stay; `what` begins the message."""
     distance = stay.controller.distance(state)
     if not distance <= NEAR:
         raise GoalMissed(f"{what} {distance:.2g} (scaled) away from {stay.name}: they do not meet")
@@ -181,6 +193,7 @@ class NearestKeeper:
     """Fallback that stabilises the orbit or equilibrium nearest to the state."""
 
     def __init__(self, keepers: Mapping[str, Keeper]) -> None:
+        """Set the laws that can hold a state, by the names of their orbits and equilibria."""
         self._keepers = dict(keepers)
 
     def session(self, tick: int, state: Array) -> tuple[Session, str]:

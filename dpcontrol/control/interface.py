@@ -63,7 +63,7 @@ def clip_number(value: float, low: float, high: float) -> float:
 
 
 def clip_lanes(value: Array, low: Array | float, high: Array | float) -> Array:
-    """Return numbers (S,) of many runs limited to two bounds.
+    """Return numbers (S,) of S lockstep runs limited to two bounds, as `clip_number` does for one run.
 
     Args:
         value: numbers (S,).
@@ -114,7 +114,7 @@ def whole_turns(angles: Array) -> Array:
 
 
 def pendulum_scale(arms: int) -> Array:
-    """Return the scale (2n,) of the pendulum's state.
+    """Return the scales (2n,) of the arms' angles and rates, rad and rad/s, by which distances of states are measured.
 
     Distances ignore the cart, which has no effect on the phase.
 
@@ -125,9 +125,9 @@ def pendulum_scale(arms: int) -> Array:
 
 
 def interpolated(states: Array, place: Any, lanes: Lanes) -> Array:
-    """Return interpolated states of a table.
+    """Return states at fractional rows of a table, by linear interpolation.
 
-    Places beyond its ends are clipped.
+    Places beyond the table's ends count as its ends.
 
     Args:
         states: table (K, N).
@@ -138,8 +138,8 @@ def interpolated(states: Array, place: Any, lanes: Lanes) -> Array:
         States (N,) or (S, N).
     """
     k = lanes.clip(lanes.below(place), 0, len(states) - 2)
-    before = states[k]
-    return before + lanes.column(lanes.clip(place - k, 0.0, 1.0)) * (states[k + 1] - before)
+    lower = states[k]
+    return lower + lanes.column(lanes.clip(place - k, 0.0, 1.0)) * (states[k + 1] - lower)
 
 
 class Estimate(NamedTuple):
@@ -200,7 +200,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) after the pending commands.
+        """Return the state (N,) after the pending commands, for which the law computes the next command.
 
         Args:
             estimate: present estimate.
@@ -217,7 +217,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Return an estimate reset to measured positions, for recovery.
+        """Return an estimate reset to measured positions, with which a filter continues that has lost the state.
 
         Args:
             estimate: last estimate.
@@ -245,7 +245,7 @@ class Session(ABC):
 
     @abstractmethod
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from a tick.
+        """Return the action (feedforward, feedback and reference) for the period from a tick.
 
         Args:
             tick: the tick in which the command acts.
@@ -279,7 +279,9 @@ class ClockedSession(Session):
 
     @abstractmethod
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback, m/s², and the reference.
+        """Return the feedforward and the feedback at a tick, m/s², and the reference's state.
+
+        They are numbers and (N,) for one run, (S,) and (S, N) for many. The session's clock advances to this tick.
 
         Args:
             tick: the tick in which the command acts.
@@ -287,18 +289,18 @@ class ClockedSession(Session):
         """
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from a tick.
+        """Return the action of one run for the period from a tick, from `steer`.
 
         Args:
             tick: the tick in which the command acts.
             state: predicted state (N,) at the tick.
             extra: ignored.
         """
-        forward, feedback, wanted = self.steer(tick, state)
-        return Action(float(forward), float(feedback), wanted, self.mode)
+        forward, feedback, reference = self.steer(tick, state)
+        return Action(float(forward), float(feedback), reference, self.mode)
 
     def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return the commands of S runs.
+        """Return the commands of S lockstep runs for the period from a tick, from `steer`.
 
         Args:
             tick: the tick in which the commands act.
@@ -308,8 +310,8 @@ class ClockedSession(Session):
         Returns:
             Feedforwards (S,) and feedbacks (S,), m/s², and references (N, S).
         """
-        forward, feedback, wanted = self.steer(tick, states.T)
-        return forward, feedback, wanted.T
+        forward, feedback, references = self.steer(tick, states.T)
+        return forward, feedback, references.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,21 +357,21 @@ class Controller(Protocol):
 
     @property
     def ticks(self) -> int:
-        """Return the number of periods."""
+        """Return the number of periods for which the law acts."""
         ...
 
 
 def schedule_of(controller: Controller, lead: int) -> GainSchedule | None:
-    """Return a law's gains by the loop's clock, or None.
+    """Return a law's gains by the loop's clock, which the compiled tick reads row by row.
 
-    Only laws that follow this clock have such gains.
+    The result is None for a law with its own clock.
 
     Args:
         controller: the law.
         lead: number of ticks between the computation of a command and its action.
     """
-    made = getattr(controller, "schedule", None)
-    return None if made is None else made(lead)
+    schedule = getattr(controller, "schedule", None)
+    return None if schedule is None else schedule(lead)
 
 
 class SampledModel:
@@ -381,6 +383,14 @@ class SampledModel:
     """
 
     def __init__(self, equations: Equations, parameters: Array, *, period: float, lag: float = 0.0) -> None:
+        """Set the equations over one period.
+
+        Args:
+            equations: cart-level equations.
+            parameters: base parameters (p,).
+            period: time between ticks, s.
+            lag: time constant of the drive, s.
+        """
         self.equations, self.period, self.lag = equations, period, lag
         self.lag_keeps = math.exp(-period / lag) if lag else 0.0
         """Factor by which the cart's acceleration decays over a period with a lagging drive."""
@@ -393,11 +403,12 @@ class SampledModel:
 
     @cached_property
     def _function(self) -> Any:
+        """The step of the equations with its Jacobians: (state, command, parameters) -> next state, A, B."""
         return self.equations.discrete_step(self.period)
 
     @cached_property
     def machine(self) -> Any:
-        """The compiled step.
+        """The compiled step of S states together.
 
         It maps state, command and parameters, (N+1+p, S), to the next states (N, S).
         """
@@ -405,21 +416,22 @@ class SampledModel:
 
     @cached_property
     def _plain(self) -> Any:
+        """The step without its Jacobians: (state, command, parameters) -> next state."""
         return self._function.factory("plain", self._function.name_in(), [self._function.name_out(0)])
 
     @cached_property
     def _buffered(self) -> tuple[Any, Any, Array, Array, Array]:
-        """Return (trigger, its owner, state, input, result).
+        """The call of the step without copies, what must live as long, and its state (N,), input (1,) and result (N,).
 
         They share memory with the step's arguments.
         """
         buffer, trigger = self._plain.buffer()
-        x, u, following = np.zeros(self.dimension), np.zeros(1), np.zeros(self.dimension)
-        for k, array in enumerate((x, u, self.parameters)):
+        state, command, following = np.zeros(self.dimension), np.zeros(1), np.zeros(self.dimension)
+        for k, array in enumerate((state, command, self.parameters)):
             buffer.set_arg(k, memoryview(array.data))
         buffer.set_res(0, memoryview(following.data))
         # The trigger has pointers to the buffer and all arrays, which must therefore live as long as it does.
-        return trigger, (buffer, x, u, following), x, u, following
+        return trigger, (buffer, state, command, following), state, command, following
 
     def step(self, state: Array, command: float) -> Array:
         """Return the state (N,) one period later.
@@ -428,9 +440,9 @@ class SampledModel:
             state: state (N,).
             command: constant acceleration of the cart, m/s².
         """
-        trigger, _, x, u, following = self._buffered
-        x[:] = state
-        u[0] = command
+        trigger, _, state_buffer, input_buffer, following = self._buffered
+        state_buffer[:] = state
+        input_buffer[0] = command
         trigger()
         return following.copy()
 
@@ -446,7 +458,7 @@ class SampledModel:
         return np.array(self._plain.map(len(states))(states.T, commands[None], base)).T
 
     def lagging(self, a: Array, b: Array) -> tuple[Array, Array]:
-        """Return A and B of `linearised` for a lagging drive.
+        """Return A and B of `linearised` for a drive whose cart's acceleration lags behind the command.
 
         The cart's acceleration becomes the last state. Without lag, A and B are returned unchanged.
 
@@ -460,14 +472,14 @@ class SampledModel:
         if not self.lag:
             return a, b
         count, n = b.shape
-        mean = self.lag / self.period * (1 - self.lag_keeps)
-        whole, push = np.zeros((count, n + 1, n + 1)), np.empty((count, n + 1))
-        whole[:, :n, :n], whole[:, :n, n], whole[:, n, n] = a, mean * b, self.lag_keeps
-        push[:, :n], push[:, n] = (1 - mean) * b, 1 - self.lag_keeps
-        return whole, push
+        lag_share = self.lag / self.period * (1 - self.lag_keeps)
+        wide_a, wide_b = np.zeros((count, n + 1, n + 1)), np.empty((count, n + 1))
+        wide_a[:, :n, :n], wide_a[:, :n, n], wide_a[:, n, n] = a, lag_share * b, self.lag_keeps
+        wide_b[:, :n], wide_b[:, n] = (1 - lag_share) * b, 1 - self.lag_keeps
+        return wide_a, wide_b
 
     def linearised(self, states: Array, commands: Array, *, parameters: Array | None = None) -> tuple[Array, Array]:
-        """Return the Jacobians A (K, N, N) and B (K, N).
+        """Return the Jacobians A (K, N, N) and B (K, N) of one period at K states, by the state and by the command.
 
         Args:
             states: states (K, N).
@@ -476,8 +488,10 @@ class SampledModel:
         """
         count, n = np.shape(states)
         base = np.repeat((self.parameters if parameters is None else parameters)[:, None], count, axis=1)
-        _, a, b = self._function.map(count)(states.T, np.asarray(commands)[None, :], base)
-        return np.array(a).T.reshape(count, n, n).transpose(0, 2, 1), np.array(b).T.reshape(count, n)
+        _, state_jacobians, input_jacobians = self._function.map(count)(states.T, np.asarray(commands)[None, :], base)
+        return np.array(state_jacobians).T.reshape(count, n, n).transpose(0, 2, 1), np.array(input_jacobians).T.reshape(
+            count, n
+        )
 
 
 def with_dry_friction(parameters: ArmChainParameters, rate: float) -> ArmChainParameters:

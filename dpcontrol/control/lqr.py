@@ -48,15 +48,15 @@ class QuadraticWeights(Settings, table="controller"):
     effort: Annotated[float, Setting(above=0, help="Weight of the cart's acceleration.")] = 1.0
 
     def weights(self, arms: int, period: float) -> tuple[Array, float]:
-        """Return Q's diagonal (N,) and r.
+        """Return Q's diagonal (N,) and r, the weights of a state's error and of a command in one period.
 
         Args:
             arms: number of arms.
             period: time between ticks, s.
         """
-        scaled = [self.angle / ANGLE_SCALE**2] * arms + [self.rate / RATE_SCALE**2] * arms
+        pendulum = [self.angle / ANGLE_SCALE**2] * arms + [self.rate / RATE_SCALE**2] * arms
         cart = [self.position, self.velocity / CART_VELOCITY_SCALE**2]
-        return np.array(scaled + cart) * period, self.effort * period
+        return np.array(pendulum + cart) * period, self.effort * period
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class HoldController(Brief):
         return self.state
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule, with the same row at every tick.
+        """Return the gain schedule of the hold, with the same row at every tick.
 
         Args:
             lead: number of ticks between the computation of a command and its action.
@@ -141,27 +141,27 @@ class HoldController(Brief):
         )
 
     def join(self, tick: int, state: Array) -> "HoldSession":
-        """Return a session that holds the equilibrium with the nearest turns.
+        """Return a session that holds the equilibrium with the turns of its angles nearest to the state.
 
         Args:
             tick: ignored.
             state: present state (N,).
         """
         n = (len(state) - 2) // 2
-        wanted = self.state.copy()
-        wanted[:n] += whole_turns(state[:n] - wanted[:n])
-        return HoldSession(self, wanted)
+        lifted = self.state.copy()
+        lifted[:n] += whole_turns(state[:n] - lifted[:n])
+        return HoldSession(self, lifted)
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance from the equilibrium, modulo turns.
+        """Return the scaled distance from the equilibrium, modulo turns, by which a fallback is chosen.
 
         Args:
             state: state (N,), whose cart is ignored.
         """
         n = (len(state) - 2) // 2
-        away = np.asarray(state[: 2 * n] - self.state[: 2 * n])
-        away[:n] -= whole_turns(away[:n])
-        return float(np.abs(away / pendulum_scale(n)).max())
+        differences = np.asarray(state[: 2 * n] - self.state[: 2 * n])
+        differences[:n] -= whole_turns(differences[:n])
+        return float(np.abs(differences / pendulum_scale(n)).max())
 
 
 class HoldSession(Session):
@@ -171,6 +171,12 @@ class HoldSession(Session):
     """
 
     def __init__(self, controller: HoldController, wanted: Array) -> None:
+        """Begin a hold.
+
+        Args:
+            controller: the controller.
+            wanted: equilibrium (N,) with the run's turns.
+        """
         self._gain, self._extra_gains, self._wanted = controller.gain, controller.extra_gains, wanted
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
@@ -182,6 +188,7 @@ class HoldSession(Session):
             extra: estimated extras (E,).
         """
         feedback = 0.0
+        # The order of the sum is that of the compiled tick (`TickEquations.law`).
         for product in (self._gain * (self._wanted - state)).tolist():
             feedback += product
         if self._extra_gains is not None:
@@ -204,7 +211,11 @@ class ExtraEffects(Brief):
 def _regulator(
     model: SampledModel, x: Array, settings: HoldSettings, damping: float
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Return A and B for arms with more viscous friction, and the gains, cost-to-go and multipliers of the best loop.
+    """Return A (N, N) and B (N,) between ticks, and the best loop's gains (N,), cost-to-go and multipliers (N,).
+
+    With a lagging drive, the cart's acceleration is another state.
+
+    `x` (N,): equilibrium. `damping`: viscous friction beyond the model's, over √(G M).
 
     Raises:
         GoalMissed: the equilibrium cannot be stabilised.
@@ -214,14 +225,16 @@ def _regulator(
 
     n, parameters = model.arms, model.parameters.copy()
     parameters[n * (n + 1) // 2 + 2 * n :][:n] += damping * np.array(damping_scales(parameters, n))
-    a, b = (v[0] for v in model.lagging(*model.linearised(x[None, :], np.zeros(1), parameters=parameters)))
+    state_jacobian, input_jacobian = (
+        jacobian[0] for jacobian in model.lagging(*model.linearised(x[None, :], np.zeros(1), parameters=parameters))
+    )
     weights, effort = settings.weights(n, model.period)
     try:
-        on_state = np.diag(np.append(weights, [0.0] * (len(b) - len(x))))
-        gain, cost, values = dlqr(a, b[:, None], on_state, np.array([[effort]]))
+        state_weights = np.diag(np.append(weights, [0.0] * (len(input_jacobian) - len(x))))
+        gain, cost, multipliers = dlqr(state_jacobian, input_jacobian[:, None], state_weights, np.array([[effort]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise GoalMissed(f"the equilibrium cannot be held: {error}") from error
-    return a, b, np.asarray(gain)[0], cost, np.asarray(values)
+    return state_jacobian, input_jacobian, np.asarray(gain)[0], cost, np.asarray(multipliers)
 
 
 def assumed_damping(model: SampledModel, x: Array, settings: HoldSettings, *, most: float) -> float:
@@ -241,11 +254,14 @@ def assumed_damping(model: SampledModel, x: Array, settings: HoldSettings, *, mo
         settings: weights.
         most: largest value.
     """
-    a, b, *_ = _regulator(model, x, settings, 0.0)
+    state_jacobian, input_jacobian, *_ = _regulator(model, x, settings, 0.0)
 
     def margin(damping: float) -> float:
-        closed = np.linalg.eigvals(a - np.outer(b, _regulator(model, x, settings, damping)[2]))
-        distances = np.abs(np.prod((_CIRCLE - closed) / (_CIRCLE - np.linalg.eigvals(a)), axis=1))
+        """Return the modulus margin of the undamped arms' loop with the gains for damped arms, 0 if it is unstable."""
+        closed = np.linalg.eigvals(
+            state_jacobian - np.outer(input_jacobian, _regulator(model, x, settings, damping)[2])
+        )
+        distances = np.abs(np.prod((_CIRCLE - closed) / (_CIRCLE - np.linalg.eigvals(state_jacobian)), axis=1))
         return float(distances.min()) if np.abs(closed).max() < 1 else 0.0
 
     needed = _KEPT_MARGIN * margin(0.0)
@@ -274,22 +290,32 @@ def hold_controller(
     Raises:
         GoalMissed: the equilibrium cannot be stabilised.
     """
-    x = np.concatenate([np.asarray(state, dtype=float)[: 2 * model.arms], [0.0, 0.0]])
-    told = settings.damping
-    damping = assumed_damping(model, x, settings, most=UNKNOWN_FRICTION + dry) if told is None else told + dry
-    a, b, gains, cost, values = _regulator(model, x, settings, damping)
-    slowest = float(np.abs(values).max())
+    equilibrium = np.concatenate([np.asarray(state, dtype=float)[: 2 * model.arms], [0.0, 0.0]])
+    stated_damping = settings.damping
+    damping = (
+        assumed_damping(model, equilibrium, settings, most=UNKNOWN_FRICTION + dry)
+        if stated_damping is None
+        else stated_damping + dry
+    )
+    state_jacobian, input_jacobian, gains, cost, multipliers = _regulator(model, equilibrium, settings, damping)
+    slowest = float(np.abs(multipliers).max())
     if not slowest < 1:
         raise GoalMissed(f"the equilibrium cannot be held: the best loop's largest multiplier is {slowest:.6g}")
     drive = float(gains[-1]) if model.lag else None
-    size = len(x)
+    size = len(equilibrium)
     controller = HoldController(
-        settings.kind, x, gains[:size], max(round(seconds / model.period), 1), drive, cost=cost[:size, :size]
+        settings.kind, equilibrium, gains[:size], max(round(seconds / model.period), 1), drive, cost=cost[:size, :size]
     )
     if extras is None:
         return controller
-    pushes = cost @ np.pad(extras.effects, ((0, len(b) - len(x)), (0, 0)))
-    closed, unit = a - np.outer(b, gains), np.eye(len(b))
-    later = [np.linalg.solve(unit - d * closed.T, push) for d, push in zip(extras.kept, pushes.T, strict=True)]
-    on_extras = np.reshape(later, (-1, len(b))) @ b / (settings.effort * model.period + b @ cost @ b)
-    return replace(controller, extra_gains=on_extras, names=extras.names)
+    effects = cost @ np.pad(extras.effects, ((0, len(input_jacobian) - len(equilibrium)), (0, 0)))
+    closed, unit = state_jacobian - np.outer(input_jacobian, gains), np.eye(len(input_jacobian))
+    extra_costs = [
+        np.linalg.solve(unit - decay * closed.T, push) for decay, push in zip(extras.kept, effects.T, strict=True)
+    ]
+    extra_gains = (
+        np.reshape(extra_costs, (-1, len(input_jacobian)))
+        @ input_jacobian
+        / (settings.effort * model.period + input_jacobian @ cost @ input_jacobian)
+    )
+    return replace(controller, extra_gains=extra_gains, names=extras.names)

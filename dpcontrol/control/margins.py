@@ -64,13 +64,13 @@ class Margins(Documented):
         delay, time = self.limits["delay"]
         if not delay and np.isfinite(time):
             return f"a run is lost after {time:.2f} s even if the plant equals the model"
-        said = {}
+        text = {}
         for name, (value, time) in self.limits.items():
-            text = f"{value:.2g}" if name.startswith("gain") else f"{1e3 * value:.1f} ms"
-            lost = f" (at {time:.1f} s)" if np.isfinite(time) else ""
-            said[name] = f"{'' if lost or name == 'gain_low' else 'at least '}{text}{lost}"
+            number = f"{value:.2g}" if name.startswith("gain") else f"{1e3 * value:.1f} ms"
+            loss = f" (at {time:.1f} s)" if np.isfinite(time) else ""
+            text[name] = f"{'' if loss or name == 'gain_low' else 'at least '}{number}{loss}"
         return (
-            f"gain {said['gain_low']} to {said['gain_high']}, further delay {said['delay']}, further lag {said['lag']}"
+            f"gain {text['gain_low']} to {text['gain_high']}, further delay {text['delay']}, further lag {text['lag']}"
         )
 
     def least(self) -> dict[str, tuple[float, float]]:
@@ -106,9 +106,9 @@ class NominalLoop:
     limits: Limits
 
     def lost_at(self, gain: Array, delay: Array, lag: Array) -> Array:
-        """Return the times at which half of the runs are lost, s.
+        """Return the times, s, at which half of the runs with changed drives are lost.
 
-        They are infinite if fewer are lost.
+        Each drive is tried with several initial errors. The time is infinite if fewer than half are lost.
 
         Args:
             gain: gains (S,).
@@ -120,85 +120,99 @@ class NominalLoop:
         rows, references = self.law.rows, self.law.references
         program, step = self.program_of(count), self.plant.machine
         lanes = program.lanes
-        changed = (gain, self.delay + delay / period, np.maximum(self.plant.lag + lag, 1e-9))
-        g, d, tau = (program.spread(values) for values in changed)
-        whole = np.floor(d + 1e-9).astype(int)
-        part, kept = np.maximum(d - whole, 0.0), np.exp(-period / tau)
-        mean = tau / period * (1 - kept)
+        drive_values = (gain, self.delay + delay / period, np.maximum(self.plant.lag + lag, 1e-9))
+        gains, delays, lags = (program.spread(values) for values in drive_values)
+        whole = np.floor(delays + 1e-9).astype(int)
+        fraction, lag_keeps = np.maximum(delays - whole, 0.0), np.exp(-period / lags)
+        lag_share = lags / period * (1 - lag_keeps)
         first = np.repeat(references[0][:, None], lanes, axis=1)
-        x, errors = first.copy(), np.random.default_rng(0).uniform(-FIRST_ERROR, FIRST_ERROR, (n, _STARTS))
-        x[:n] += errors[:, np.arange(lanes) % _STARTS]
-        inputs = np.concatenate([x, np.zeros((1, lanes)), np.repeat(self.plant.parameters[:, None], lanes, axis=1)])
-        slots, each, lagging = int(whole.max()) + 2, np.arange(lanes), np.zeros(lanes)
-        sent, lost, swing = np.zeros((slots, lanes)), np.full(lanes, np.inf), np.zeros(lanes)
+        states, errors = first.copy(), np.random.default_rng(0).uniform(-FIRST_ERROR, FIRST_ERROR, (n, _STARTS))
+        states[:n] += errors[:, np.arange(lanes) % _STARTS]
+        inputs = np.concatenate(
+            [states, np.zeros((1, lanes)), np.repeat(self.plant.parameters[:, None], lanes, axis=1)]
+        )
+        memory_length, lane_index, acceleration = int(whole.max()) + 2, np.arange(lanes), np.zeros(lanes)
+        sent, lost, shaking = np.zeros((memory_length, lanes)), np.full(lanes, np.inf), np.zeros(lanes)
         for k, command in enumerate(self.law.queued):
             sent[k - len(self.law.queued)] = command
-        tail, tenth, around = len(rows) * 9 // 10, max(len(rows) // 10, 1), round(_PHASE / period)
-        most = self.limits.acceleration
+        last_tenth, tenth, time_offset = len(rows) * 9 // 10, max(len(rows) // 10, 1), round(_PHASE / period)
+        limit = self.limits.acceleration
         for k, row in enumerate(rows):
-            program.take(self.readings_of(x), None, 0, None)
+            program.take(self.readings_of(states), None, 0, None)
             program.row[:] = row[:, None]
             program.tick()
             report = program.report
-            command = sent[k % slots] = report.command[0]
-            acting = g * ((1 - part) * sent[(k - whole) % slots, each] + part * sent[(k - whole - 1) % slots, each])
-            acting, wanted = (np.clip(a, -most, most) for a in (acting, g * command))
-            inputs[len(x)] = acting + mean * (lagging - acting)
-            lagging = kept * lagging + (1 - kept) * acting
-            x = inputs[: len(x)] = step(inputs, np.empty(x.shape))
-            path = references[k + 1 : k + 2, :n] if k < tail else references[k - around : k + around : _EVERY, :n]
-            away = np.abs(x[:n] - path[:, :, None]).max(axis=1).min(axis=0, initial=np.inf)
-            near = (away < (_LOST if k < tail else ASTRAY)) & (np.abs(x[2 * n]) < self.limits.position)
-            swing += (wanted - (command - report.feedback[0])) ** 2 / tenth
-            kept_up = near & (report.stop[0] == 0)
+            command = sent[k % memory_length] = report.command[0]
+            acting = gains * (
+                (1 - fraction) * sent[(k - whole) % memory_length, lane_index]
+                + fraction * sent[(k - whole - 1) % memory_length, lane_index]
+            )
+            acting, intended = (np.clip(value, -limit, limit) for value in (acting, gains * command))
+            inputs[len(states)] = acting + lag_share * (acceleration - acting)
+            acceleration = lag_keeps * acceleration + (1 - lag_keeps) * acting
+            states = inputs[: len(states)] = step(inputs, np.empty(states.shape))
+            # In the last tenth, the motion may be early or late by the same time as in the score.
+            nearby = (
+                references[k + 1 : k + 2, :n]
+                if k < last_tenth
+                else references[k - time_offset : k + time_offset : _EVERY, :n]
+            )
+            distance = np.abs(states[:n] - nearby[:, :, None]).max(axis=1).min(axis=0, initial=np.inf)
+            follows = (distance < (_LOST if k < last_tenth else ASTRAY)) & (
+                np.abs(states[2 * n]) < self.limits.position
+            )
+            shaking += (intended - (command - report.feedback[0])) ** 2 / tenth
+            unharmed = follows & (report.stop[0] == 0)
             if (k + 1) % tenth == 0:
-                kept_up &= (swing < (SHAKEN * most) ** 2) | (k < tenth)
-                swing[:] = 0.0
-            lost[~kept_up & np.isinf(lost)] = (k + 1) * period
-            gone = np.isfinite(lost)
-            if gone.all():
+                unharmed &= (shaking < (SHAKEN * limit) ** 2) | (k < tenth)
+                shaking[:] = 0.0
+            lost[~unharmed & np.isinf(lost)] = (k + 1) * period
+            failed = np.isfinite(lost)
+            if failed.all():
                 break
             # Lost runs stay at rest to prevent overflow.
-            x = inputs[: len(x)] = np.where(gone, first, x)
+            states = inputs[: len(states)] = np.where(failed, first, states)
         return np.sort(lost[:count].reshape(-1, _STARTS), axis=1)[:, (_STARTS - 1) // 2]
 
 
 def margins_of(loop: NominalLoop) -> Margins:
-    """Return the margins of gain, delay and lag.
+    """Return the margins of gain, delay and lag: the last values before those that lose the reference.
 
     Args:
         loop: loop whose arms and drive match the model.
     """
     (nominal,) = loop.lost_at(np.ones(1), np.zeros(1), np.zeros(1))
-    near: dict[str, float] = dict(_NEAREST)
-    far, when = dict(FARTHEST), dict.fromkeys(FARTHEST, np.nan)
+    nearest: dict[str, float] = dict(_NEAREST)
+    farthest, loss_times = dict(FARTHEST), dict.fromkeys(FARTHEST, np.nan)
     if np.isfinite(nominal):
-        return Margins({name: (1.0 if name.startswith("gain") else 0.0, float(nominal)) for name in far})
-    kept = {name: 1.0 if name.startswith("gain") else 0.0 for name in far}
+        return Margins({name: (1.0 if name.startswith("gain") else 0.0, float(nominal)) for name in farthest})
+    margins = {name: 1.0 if name.startswith("gain") else 0.0 for name in farthest}
     for _ in range(2):
-        rows = {name: np.geomspace(near[name], far[name], _TRIED + 1) for name in far}
+        series = {name: np.geomspace(nearest[name], farthest[name], _TRIED + 1) for name in farthest}
         # The nominal gain is known to be stable, but the shortest delay is not.
-        tried = {name: row[1:] if kept[name] == near[name] else row for name, row in rows.items()}
-        lost = _of_all(loop, tried)
-        for name, values in tried.items():
-            first = int(np.argmax(np.isfinite(lost[name]))) if np.isfinite(lost[name]).any() else len(values)
-            if first:
-                kept[name] = near[name] = float(values[first - 1])
-            if first < len(values):
-                far[name], when[name] = float(values[first]), float(lost[name][first])
-    return Margins({name: (kept[name], float(when[name])) for name in far})
+        values_by_name = {
+            name: steps[1:] if margins[name] == nearest[name] else steps for name, steps in series.items()
+        }
+        lost = _of_all(loop, values_by_name)
+        for name, values in values_by_name.items():
+            first_loss = int(np.argmax(np.isfinite(lost[name]))) if np.isfinite(lost[name]).any() else len(values)
+            if first_loss:
+                margins[name] = nearest[name] = float(values[first_loss - 1])
+            if first_loss < len(values):
+                farthest[name], loss_times[name] = float(values[first_loss]), float(lost[name][first_loss])
+    return Margins({name: (margins[name], float(loss_times[name])) for name in farthest})
 
 
 def _of_all(loop: NominalLoop, tried: dict[str, Array]) -> dict[str, Array]:
-    """Return the times of loss by margin.
+    """Return the times of loss, s, for all values (V,) of each margin, from one batch of all runs.
 
-    One batch computes all runs.
+    `tried`: values by the name of their margin. The other numbers of the drive are nominal.
     """
     drives: dict[str, Array] = {}
-    sizes = np.cumsum([0, *(len(values) for values in tried.values())])
+    ends = np.cumsum([0, *(len(values) for values in tried.values())])
     for key, usual in (("gain", 1.0), ("delay", 0.0), ("lag", 0.0)):
         drives[key] = np.concatenate(
             [values if name.startswith(key) else np.full(len(values), usual) for name, values in tried.items()]
         )
-    lost = loop.lost_at(**drives)
-    return {name: lost[sizes[k] : sizes[k + 1]] for k, name in enumerate(tried)}
+    all_losses = loop.lost_at(**drives)
+    return {name: all_losses[ends[k] : ends[k + 1]] for k, name in enumerate(tried)}

@@ -87,19 +87,17 @@ class Learning(Brief):
             covariance: its covariance (…, m, m).
             surprise: measured minus predicted state (…, 2n) of the pendulum at the next section.
         """
-        d = self.sensitivities[section]
+        sensitivity = self.sensitivities[section]
         spread = covariance + DRIFT**2 * self.prior
-        there = d @ spread
-        total = there @ np.swapaxes(d, -1, -2) + self.noise[section]
-        gain = np.swapaxes(np.linalg.solve(total, there), -1, -2)
-        news = surprise - (d @ guess[..., None])[..., 0]
-        return guess + (gain @ news[..., None])[..., 0], spread - gain @ there
+        projected = sensitivity @ spread
+        innovation_covariance = projected @ np.swapaxes(sensitivity, -1, -2) + self.noise[section]
+        gain = np.swapaxes(np.linalg.solve(innovation_covariance, projected), -1, -2)
+        innovation = surprise - (sensitivity @ guess[..., None])[..., 0]
+        return guess + (gain @ innovation[..., None])[..., 0], spread - gain @ projected
 
 
 def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
-    """Return the gains (k, N) of classic OGY.
-
-    Their pulses remove the unstable direction at the next section.
+    """Return the gains (k, N) of classic OGY, whose pulses remove the unstable direction at the next section.
 
     Args:
         maps: maps from each of k sections to the next.
@@ -108,25 +106,24 @@ def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
         GoalMissed: a pulse does not move the unstable direction.
     """
     gains = []
-    for j, here in enumerate(maps):
-        product = np.eye(len(here.response))
-        for later in maps[j + 1 :] + maps[: j + 1]:
-            product = later.matrix @ product
-        values, left = np.linalg.eig(product.T)
-        direction = np.real(left[:, np.argmax(np.abs(values))])
-        reach = float(direction @ here.response)
-        if abs(reach) <= 1e-12 * float(np.linalg.norm(here.response)):
+    for j, section_map in enumerate(maps):
+        product = np.eye(len(section_map.response))
+        for next_map in maps[j + 1 :] + maps[: j + 1]:
+            product = next_map.matrix @ product
+        values, left_vectors = np.linalg.eig(product.T)
+        direction = np.real(left_vectors[:, np.argmax(np.abs(values))])
+        reach = float(direction @ section_map.response)
+        if abs(reach) <= 1e-12 * float(np.linalg.norm(section_map.response)):
             raise GoalMissed(f"a pulse after section {j + 1} does not move the unstable direction; use more sections")
-        gains.append(direction @ here.matrix / reach)
+        gains.append(direction @ section_map.matrix / reach)
     return np.array(gains)
 
 
 def parameter_directions(equations: Equations, parameters: Array) -> Array:
-    """Return relative changes (m, p) of base parameters.
+    """Return the changes (m, p) of base parameters due to a plant's relative errors, one row for each kind of error.
 
-    Inertia, weights with couplings, friction × 5.
-
-    Weight G_i and coupling S_i = G_i/g change together, since gravity is constant.
+    They are inertia, weights with couplings, and friction × 5, because it is less certain. Weight G_i and coupling S_i
+    = G_i/g change together, since gravity is constant.
 
     Args:
         equations: equations of the model.
@@ -134,43 +131,44 @@ def parameter_directions(equations: Equations, parameters: Array) -> Array:
     """
     n = (equations.dimension - 2) // 2
     inertias = n * (n + 1) // 2
-    sizes = np.diag(parameters)
-    sizes[inertias : inertias + n] += sizes[inertias + n : inertias + 2 * n]
-    return np.concatenate([sizes[: inertias + n], _FRICTION * sizes[inertias + 2 * n :]])
+    directions = np.diag(parameters)
+    # Each weight changes together with its coupling.
+    directions[inertias : inertias + n] += directions[inertias + n : inertias + 2 * n]
+    return np.concatenate([directions[: inertias + n], _FRICTION * directions[inertias + 2 * n :]])
 
 
 def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", directions: Array) -> Array:
-    """Return D (k, N, m), derivatives of section-to-section flights.
+    """Return D (k, N, m), derivatives of the states at the next section by errors of the plant's parameters.
 
-    The derivatives are central differences of Runge-Kutta flights under the orbit's input.
+    They are central differences of Runge-Kutta flights under the orbit's input.
 
     Args:
         orbit: the sustained orbit.
         maps: maps from each of k sections to the next.
         directions: changes (m, p) of the plant's base parameters.
     """
-    k, m, duration = len(maps), len(directions), maps[0].duration
+    k, kinds, duration = len(maps), len(directions), maps[0].duration
     count = max(int(np.ceil(duration / _STEP)), 1)
     step = duration / count
     function = orbit.equations.discrete_step(step)
-    plain = function.factory("plain", function.name_in(), [function.name_out(0)]).map(2 * m * k)
+    plain = function.factory("plain", function.name_in(), [function.name_out(0)]).map(2 * kinds * k)
     change = _DIFFERENCE * np.concatenate([directions, -directions])
     parameters = np.tile((orbit.parameters + change).T, (1, k))
-    states = np.repeat(np.array([a.start.state for a in maps]), 2 * m, axis=0).T
-    begins = np.array([a.start.time for a in maps])
+    states = np.repeat(np.array([section_map.start.state for section_map in maps]), 2 * kinds, axis=0).T
+    begins = np.array([section_map.start.time for section_map in maps])
     for i in range(count):
-        inputs = np.repeat(orbit.input(begins + (i + 0.5) * step), 2 * m)[None, :]
+        inputs = np.repeat(orbit.input(begins + (i + 0.5) * step), 2 * kinds)[None, :]
         states = np.array(plain(states, inputs, parameters))
-    flown = states.T.reshape(k, 2, m, -1)
-    apart = (flown[:, 0] - flown[:, 1]) / (2 * _DIFFERENCE)
-    return np.array([a.end.projection @ apart[j].T for j, a in enumerate(maps)])
+    ends = states.T.reshape(k, 2, kinds, -1)
+    derivatives = (ends[:, 0] - ends[:, 1]) / (2 * _DIFFERENCE)
+    return np.array([section_map.end.projection @ derivatives[j].T for j, section_map in enumerate(maps)])
 
 
 def learning(
     orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", gains: Array, *, weights: Array, effort: float,
     share: float,
 ) -> Learning:  # fmt: skip
-    """Return the learning data for relative errors of the parameters.
+    """Return the data of the filter that learns relative errors of the plant's parameters during a run.
 
     Args:
         orbit: the sustained orbit.
@@ -186,24 +184,26 @@ def learning(
     directions = parameter_directions(orbit.equations, orbit.parameters)
     # A zero parameter has no relative error.
     directions = directions[np.abs(directions).sum(1) > 0]
-    d = sensitivities(orbit, maps, directions)
-    n, m = d.shape[1] - 2, len(directions)
+    derivatives = sensitivities(orbit, maps, directions)
+    n, kinds = derivatives.shape[1] - 2, len(directions)
     spread = np.array([ANGLE_ERROR**2] * (n // 2) + [RATE_ERROR**2] * (n // 2))
     noise = []
-    for here in maps:
-        before, after = here.matrix[:n, :n], here.end.projection[:n, :n]
+    for section_map in maps:
+        start_map, end_projection = section_map.matrix[:n, :n], section_map.end.projection[:n, :n]
         # The smallest of them regularises the direction along the orbit, which the section omits.
-        noise.append((before * spread) @ before.T + (after * spread) @ after.T + ANGLE_ERROR**2 * np.eye(n))
-    shifts = disturbance_shifts(maps, gains, d, weights=weights, effort=effort)
-    return Learning(d[:, :n], np.array(noise), shifts, share**2 * np.eye(m))
+        noise.append(
+            (start_map * spread) @ start_map.T
+            + (end_projection * spread) @ end_projection.T
+            + ANGLE_ERROR**2 * np.eye(n)
+        )
+    shifts = disturbance_shifts(maps, gains, derivatives, weights=weights, effort=effort)
+    return Learning(derivatives[:, :n], np.array(noise), shifts, share**2 * np.eye(kinds))
 
 
 def disturbance_shifts(
     maps: "tuple[SectionMap, ...]", gains: Array, disturbances: Array, *, weights: Array, effort: float
 ) -> Array:
-    """Return shifts s (k, m) of the pulses, in m/s².
-
-    The shifts are those for each unit of known periodic disturbances.
+    """Return shifts s (k, m) of the pulses, m/s², that anticipate known periodic disturbances of one unit each.
 
     Args:
         maps: maps from each of k sections to the next.
@@ -219,26 +219,29 @@ def disturbance_shifts(
     count, size, kinds = disturbances.shape
     costs = [np.diag(weights)] * (count + 1)
     g = np.zeros((size, kinds))
-    before = np.full((count, kinds), np.inf)
+    previous = np.full((count, kinds), np.inf)
     shifts = np.zeros((count, kinds))
     for _ in range(_MOST_PERIODS):
         costs[count] = costs[0]
         for j in range(count - 1, -1, -1):
-            a, b = matrices[j], responses[j]
-            *_, found = riccati_gains(a[None], b[None], weights=weights, effort=effort, terminal=costs[j + 1])
-            costs[j] = found[0]
+            matrix, response = matrices[j], responses[j]
+            *_, section_costs = riccati_gains(
+                matrix[None], response[None], weights=weights, effort=effort, terminal=costs[j + 1]
+            )
+            costs[j] = section_costs[0]
             v = costs[j + 1] @ disturbances[j] + g
-            shifts[j] = b @ v / (effort + b @ costs[j + 1] @ b)
-            g = (a - np.outer(b, gains[j])).T @ v
-        if np.abs(shifts - before).max() <= _SETTLED * max(np.abs(shifts).max(), 1e-300):
+            shifts[j] = response @ v / (effort + response @ costs[j + 1] @ response)
+            g = (matrix - np.outer(response, gains[j])).T @ v
+        if np.abs(shifts - previous).max() <= _SETTLED * max(np.abs(shifts).max(), 1e-300):
             return shifts
-        before = shifts.copy()
+        previous = shifts.copy()
     raise GoalMissed(
         "the pulses for a plant that differs from the model did not converge; use more sections per period"
     )
 
 
 def _arrays(maps: "tuple[SectionMap, ...]") -> tuple[Array, Array]:
+    """Return the matrices A (k, N, N) and responses B (k, N) of the maps from each section to the next."""
     return np.array([m.matrix for m in maps]), np.array([m.response for m in maps])
 
 
@@ -308,7 +311,7 @@ class OgyController(Brief):
 
     @cached_property
     def window(self) -> float:
-        """Return the largest time error of a crossing, s."""
+        """Return the largest time error of a crossing, s; if it is later, the section counts as not crossed."""
         return min(self.duration / 2, _EARLY * self.table.period)
 
     def begin(self) -> "OgySession":
@@ -324,7 +327,7 @@ class OgyController(Brief):
         return OgySession(self, count)
 
     def join(self, tick: int, state: Array) -> "OgySession":
-        """Return a session from a tick at the nearest phase.
+        """Return a session from a tick at the phase nearest to a state, for a handover from another law.
 
         It keeps the state's turns.
 
@@ -361,6 +364,12 @@ class OgySession(ClockedSession):
     """
 
     def __init__(self, controller: OgyController, count: int | None = None) -> None:
+        """Begin at the first state, due for a pulse at its section.
+
+        Args:
+            controller: the controller.
+            count: number of runs in lockstep; None for a single run.
+        """
         self._law = law = controller
         self.lanes = ONE if count is None else MANY
         self.orbit_period = law.table.period
@@ -370,14 +379,14 @@ class OgySession(ClockedSession):
         self._tick = 0
         self._lost: tuple[int, float] | None = None
         prior = np.zeros((0, 0)) if law.learning is None else law.learning.prior
-        rest = np.zeros(len(law.first_state))
+        origin = np.zeros(len(law.first_state))
         first = _Course(
             section=len(law.times) - 1,
             elapsed=law.duration,
             pulse=0.0,
-            foreseen=rest,
+            foreseen=origin,
             flying=False,
-            lift=rest,
+            lift=origin,
             guess=np.zeros(len(prior)),
             covariance=prior,
             crossings=0,
@@ -393,46 +402,47 @@ class OgySession(ClockedSession):
 
     @property
     def _clock(self) -> Any:
+        """Return the time on the orbit's clock, s, which a late crossing of the next section can extend."""
         return self._times[self.course.section] + self.course.elapsed
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from a tick.
+        """Return the action for the period from a tick, with a sentence in its event if a section was not crossed.
 
         Args:
             tick: the tick in which the command acts.
             state: predicted state (N,) at the tick.
             extra: ignored.
         """
-        forward, feedback, wanted = self.steer(tick, state)
+        forward, feedback, reference = self.steer(tick, state)
         event = ""
         if self._lost is not None:
             section, moved = self._lost
             event = f"section {section + 1} was not crossed: clock of the orbit moved by {moved:+.4f} s"
-        return Action(float(forward), float(feedback), wanted, Mode.PULSING if feedback else Mode.HOLDING, event)
+        return Action(float(forward), float(feedback), reference, Mode.PULSING if feedback else Mode.HOLDING, event)
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback, m/s², and the reference.
+        """Return feedforward and feedback, m/s², and the reference, after checks whether a section was crossed.
 
         Args:
             tick: the tick in which the command acts.
             states: state (N,) of one run, or states (S, N).
         """
-        law, lanes, period, passed = self._law, self.lanes, self._law.model.period, tick - self._tick
+        law, lanes, period, ticks_passed = self._law, self.lanes, self._law.model.period, tick - self._tick
         self._pass(tick)
         self._lost, course = None, self.course
-        if law.learning is not None and passed:
+        if law.learning is not None and ticks_passed:
             foreseen = self._step(course.foreseen, self._sent)
-            self.course = course = course._replace(foreseen=foreseen, flying=course.flying & (passed == 1))
-        x = states - course.lift
+            self.course = course = course._replace(foreseen=foreseen, flying=course.flying & (ticks_passed == 1))
+        without_turns = states - course.lift
         near = course.elapsed > law.duration - law.window
         if lanes is MANY or near:
-            ahead = (course.section + 1) % len(law.times)
-            late = lanes.dot(x - law.states[ahead], law.normals[ahead])
-            due = late >= 0.0
-            overdue = (course.elapsed > law.duration + law.window) & (late < 0.0)
+            next_section = (course.section + 1) % len(law.times)
+            lateness = lanes.dot(without_turns - law.states[next_section], law.normals[next_section])
+            due = lateness >= 0.0
+            overdue = (course.elapsed > law.duration + law.window) & (lateness < 0.0)
             if lanes is MANY or due or overdue:
-                self._where(near & due, self._crossed, ahead, late, x)
-                self._where(overdue, self._moved_on, ahead, states)
+                self._where(near & due, self._crossed, next_section, lateness, without_turns)
+                self._where(overdue, self._moved_on, next_section, states)
             course = self.course
         clock, middle = self._clock, course.elapsed + period / 2
         # Adding zero converts minus zero to zero.
@@ -442,33 +452,42 @@ class OgySession(ClockedSession):
         return feedforward, feedback, law.table.state(clock, lanes) + course.lift
 
     def _pass(self, tick: int) -> None:
+        """Advance the orbit's clock to a tick of the loop, without a check of the sections."""
         elapsed = self.course.elapsed + (tick - self._tick) * self._law.model.period
         self.course, self._tick = self.course._replace(elapsed=elapsed), tick
 
     def _where(self, holds: Any, change: Callable[..., _Course], *given: Any) -> None:
         """Apply a change to this run if `holds`.
 
-        In lockstep, apply it to the runs for which `holds` is True.
+        In lockstep, apply it to the runs for which `holds` is True. `holds` is a bool or (S,), `given` are the
+        arguments of `change` after the course, each with one entry for each run.
         """
         if self.lanes is ONE:
             if holds:
                 self.course = change(self.course, *given)
         elif len(runs := np.flatnonzero(holds)):
-            part = change(_Course(*(value[runs] for value in self.course)), *(value[runs] for value in given))
-            for values, changed in zip(self.course, part, strict=True):
-                values[runs] = changed
+            changed_course = change(_Course(*(value[runs] for value in self.course)), *(value[runs] for value in given))
+            for run_values, changed in zip(self.course, changed_course, strict=True):
+                run_values[runs] = changed
 
     def _crossed(self, course: _Course, section: Any, late: Any, x: Array) -> _Course:
-        """Return the course after a section: what its crossing teaches of the plant, and the next pulse."""
+        """Return the course after a crossing, from which the plant's errors are learnt and the next pulse follows.
+
+        `section`: number of the crossed section, or (S,). `late`: time since the crossing, s. `x`: state (N,) or (S, N)
+        without whole turns.
+        """
         law, lanes, learning = self._law, self.lanes, self._law.learning
         late = lanes.clip(late, 0.0, law.window)
         guess, covariance = course.guess, course.covariance
         if learning is not None:
-            away = (x - course.foreseen)[..., :-2, None]
-            surprise = (law.projections[section] @ away)[..., 0]
-            taught = np.asarray(course.flying)[..., None]
-            learnt, sure = learning.updated(course.section, guess, covariance, surprise)
-            guess, covariance = np.where(taught, learnt, guess), np.where(taught[..., None], sure, covariance)
+            deviation = (x - course.foreseen)[..., :-2, None]
+            surprise = (law.projections[section] @ deviation)[..., 0]
+            counts = np.asarray(course.flying)[..., None]
+            new_guess, new_covariance = learning.updated(course.section, guess, covariance, surprise)
+            guess, covariance = (
+                np.where(counts, new_guess, guess),
+                np.where(counts[..., None], new_covariance, covariance),
+            )
         pulse = -lanes.dot(law.gains[section], x - law.table.state(law.times[section] + late, lanes))
         if learning is not None:
             pulse = pulse - lanes.dot(learning.shifts[section], guess)
@@ -476,7 +495,10 @@ class OgySession(ClockedSession):
         return _Course(section, late, pulse, x, True, course.lift, guess, covariance, course.crossings + 1)
 
     def _moved_on(self, course: _Course, section: Any, states: Array) -> _Course:
-        """The course after a section that was not crossed."""
+        """Return the course after a section that was not crossed in time, with the clock at the nearest phase.
+
+        The section is kept for the log's event. The argument `states` is a state (N,) or states (S, N).
+        """
         course, moved = self._nearest(course, states)
         self._lost = section, moved
         return course
@@ -488,10 +510,10 @@ class OgySession(ClockedSession):
         """
         law, expected = self._law, (self._law.times[course.section] + course.elapsed) % self.orbit_period
         time, _, lift = law.table.nearest(states)
-        since = np.mod(time[..., None] - law.times, self.orbit_period)
-        section, elapsed = np.argmin(since, axis=-1), since.min(-1)
-        moved = course._replace(section=section, elapsed=elapsed, pulse=0.0, flying=False, lift=lift)
-        return moved, law.table.shift(time, expected)
+        times_since = np.mod(time[..., None] - law.times, self.orbit_period)
+        section, elapsed = np.argmin(times_since, axis=-1), times_since.min(-1)
+        corrected = course._replace(section=section, elapsed=elapsed, pulse=0.0, flying=False, lift=lift)
+        return corrected, law.table.shift(time, expected)
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the clock to the nearest phase and return a sentence.
@@ -508,7 +530,7 @@ class OgySession(ClockedSession):
 
 
 def _many_steps(model: SampledModel, count: int) -> Callable[[Array, Array], Array]:
-    """Return a function of states (S, N) and commands (S,) that returns the states a period later."""
+    """Return a function of states (S, N) and commands (S,), m/s², that returns the states a period later."""
     parameters = np.repeat(model.parameters[:, None], count, axis=1)
     return lambda states, commands: (
         model.machine(np.concatenate([states.T, commands[None], parameters]), np.empty(states.T.shape)).T
@@ -537,7 +559,7 @@ def ogy_controller(
             f"{model.period:g} s; use at most {int(orbit.period / (2 * model.period))}"
         )
     maps = orbit.section_maps(settings.sections)
-    learnt = None
+    learning_data = None
     if isinstance(settings, ClassicOgySettings):
         gains = classic_gains(maps)
     else:
@@ -545,11 +567,15 @@ def ogy_controller(
         weights, effort = settings.weights(model.arms, duration)
         gains = periodic_gains(*_arrays(maps), weights=weights, effort=effort / 2)
         if settings.parameter_error:
-            learnt = learning(orbit, maps, gains, weights=weights, effort=effort / 2, share=settings.parameter_error)
+            learning_data = learning(
+                orbit, maps, gains, weights=weights, effort=effort / 2, share=settings.parameter_error
+            )
     n = 2 * model.arms
-    starts = [m.start for m in maps]
+    starts = [section_map.start for section_map in maps]
     return OgyController(
-        settings.kind, phase_table(orbit), np.array([s.time for s in starts]), np.array([s.state for s in starts]),
-        np.array([s.normal for s in starts]), np.array([s.projection[:n, :n] for s in starts]), gains, duration,
-        settings.pulse_limit, model, learnt, max(round(seconds / model.period), 1),
+        settings.kind, phase_table(orbit),
+        np.array([section.time for section in starts]), np.array([section.state for section in starts]),
+        np.array([section.normal for section in starts]),
+        np.array([section.projection[:n, :n] for section in starts]), gains, duration,
+        settings.pulse_limit, model, learning_data, max(round(seconds / model.period), 1),
     )  # fmt: skip

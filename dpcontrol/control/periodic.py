@@ -77,7 +77,7 @@ class PhaseTable(Brief):
         return interpolated(self.states, time % self.period / self.step, lanes)
 
     def input(self, time: Any, lanes: Lanes = ONE) -> Any:
-        """Return the inputs of the nearest entries, m/s².
+        """Return the inputs of the table's entries nearest in time, m/s².
 
         Args:
             time: time, s, or times (S,), modulo the period.
@@ -104,7 +104,7 @@ class PhaseTable(Brief):
         return float(self.nearest(state)[1])
 
     def nearest(self, states: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return the nearest phases.
+        """Return the phases of the motion that are nearest to states, at which a clock can continue.
 
         The distance is the largest component of the pendulum's state, with angles scaled by π and rates by 10 rad/s.
 
@@ -114,24 +114,34 @@ class PhaseTable(Brief):
         Returns:
             Times (…), s, scaled distances (…) and turns (…, N), rad.
         """
-        x = np.asarray(states, dtype=float)
-        size = x.shape[-1] - 2
-        n, flat, scale = size // 2, x.reshape(-1, x.shape[-1])[:, :size], pendulum_scale(size // 2)
-        away = flat[:, None, :] - self.states[None, :-1:COARSE, :size]
-        away[..., :n] -= whole_turns(away[..., :n])
-        best = np.argmin(np.square(away / scale).sum(-1), axis=1)
-        rate = self.rates(best * COARSE)
-        late = (away[np.arange(len(flat)), best] * rate / scale**2).sum(1) / np.square(rate / scale).sum(1)
-        late = np.clip(late, -COARSE * self.step, COARSE * self.step)
-        times = np.mod(best * COARSE * self.step + late, self.period)
-        apart = flat - self.state(times, MANY)[:, :size]
-        turns = np.zeros((len(flat), size + 2))
-        turns[:, :n] = whole_turns(apart[:, :n])
-        distance = np.abs((apart - turns[:, :size]) / scale).max(1)
-        return times.reshape(x.shape[:-1]), distance.reshape(x.shape[:-1]), turns.reshape(x.shape)
+        all_states = np.asarray(states, dtype=float)
+        size = all_states.shape[-1] - 2
+        n, pendulum, scale = (
+            size // 2,
+            all_states.reshape(-1, all_states.shape[-1])[:, :size],
+            pendulum_scale(size // 2),
+        )
+        differences = pendulum[:, None, :] - self.states[None, :-1:COARSE, :size]
+        differences[..., :n] -= whole_turns(differences[..., :n])
+        entry = np.argmin(np.square(differences / scale).sum(-1), axis=1)
+        rate = self.rates(entry * COARSE)
+        lateness = (differences[np.arange(len(pendulum)), entry] * rate / scale**2).sum(1) / np.square(
+            rate / scale
+        ).sum(1)
+        lateness = np.clip(lateness, -COARSE * self.step, COARSE * self.step)
+        times = np.mod(entry * COARSE * self.step + lateness, self.period)
+        deviations = pendulum - self.state(times, MANY)[:, :size]
+        turns = np.zeros((len(pendulum), size + 2))
+        turns[:, :n] = whole_turns(deviations[:, :n])
+        distance = np.abs((deviations - turns[:, :size]) / scale).max(1)
+        return (
+            times.reshape(all_states.shape[:-1]),
+            distance.reshape(all_states.shape[:-1]),
+            turns.reshape(all_states.shape),
+        )
 
     def rates(self, index: NDArray[np.intp]) -> Array:
-        """Return the pendulum's time derivative by central differences.
+        """Return the time derivatives of the pendulum's states at entries of the table, by central differences.
 
         Args:
             index: entries (K,) of the table.
@@ -144,7 +154,7 @@ class PhaseTable(Brief):
 
 
 def phase_table(orbit: "SustainedOrbit", *, entries: int = ENTRIES) -> PhaseTable:
-    """Return one period of a sustained orbit.
+    """Return one period of a sustained orbit as a table, from which controllers read phases, states and inputs.
 
     Args:
         orbit: the sustained orbit.
@@ -161,26 +171,26 @@ _SETTLED = 1e-9
 
 
 def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort: float) -> Array:
-    """Return the gains (m, N) of a periodic Riccati equation.
+    """Return the gains (m, N) that hold an orbit, from a Riccati equation with the period of m parts.
 
     Args:
-        matrices: a (m, N, N).
-        responses: b (m, N).
+        matrices: A (m, N, N) of each part of the period.
+        responses: B (m, N).
         weights: diagonal (N,) of Q.
         effort: weight r of the squared input.
 
     Raises:
         GoalMissed: the recursion does not converge, since the input cannot influence a drifting or growing motion.
     """
-    m = len(matrices)
+    parts = len(matrices)
     cost = np.diag(weights)
-    before = np.full_like(responses, np.inf)
-    for _ in range(max(_MOST_STEPS // m, 3)):
+    previous = np.full_like(responses, np.inf)
+    for _ in range(max(_MOST_STEPS // parts, 3)):
         gains, _, costs = riccati_gains(matrices, responses, weights=weights, effort=effort, terminal=cost)
         cost = costs[0]
         if not np.isfinite(gains).all():
             break
-        if np.abs(gains - before).max() <= _SETTLED * np.abs(gains).max():
+        if np.abs(gains - previous).max() <= _SETTLED * np.abs(gains).max():
             largest = float(np.abs(closed_multipliers(matrices, responses, gains))[0])
             if largest < 1:
                 return gains
@@ -188,14 +198,12 @@ def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort:
                 f"no periodic gains: the input cannot influence a motion that grows by {largest:.4g} per period; "
                 "give the cart's position a weight, or use more sections per period"
             )
-        before = gains
+        previous = gains
     raise GoalMissed("no periodic gains: the Riccati recursion did not converge; increase the weight of the effort")
 
 
 def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArray[np.complex128]:
-    """Return the multipliers (N,) of a period, largest first.
-
-    The multipliers are those under p = -K ξ. The loop is stable below 1.
+    """Return the multipliers (N,) of a period under p = -K ξ, largest first; the loop is stable if all are below 1.
 
     Args:
         matrices: A (m, N, N) of each part of the period.
@@ -203,8 +211,8 @@ def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArr
         gains: K (m, N).
     """
     product = np.eye(matrices.shape[-1])
-    for a, b, gain in zip(matrices, responses, gains, strict=True):
-        product = (a - np.outer(b, gain)) @ product
+    for matrix, response, gain in zip(matrices, responses, gains, strict=True):
+        product = (matrix - np.outer(response, gain)) @ product
     values = np.linalg.eigvals(product).astype(complex)
     return values[np.argsort(-np.abs(values), kind="stable")]
 
@@ -248,7 +256,7 @@ class OrbitController(Brief):
         return OrbitSession(self, 0, np.zeros(count), np.zeros(len(self.first_state)), MANY)
 
     def join(self, tick: int, state: Array) -> "OrbitSession":
-        """Return a session from a tick at the nearest phase.
+        """Return a session from a tick at the phase nearest to a state, for a handover from another law.
 
         It keeps the state's turns.
 
@@ -275,6 +283,15 @@ class OrbitSession(ClockedSession):
     """
 
     def __init__(self, law: OrbitController, tick: int, time: Any, lift: Array, lanes: Lanes = ONE) -> None:
+        """Begin a session at a tick of the loop and a time on the orbit's clock.
+
+        Args:
+            law: the controller.
+            tick: tick of the loop.
+            time: time on the orbit's clock, s, or times (S,).
+            lift: whole turns (N,) between run and table, rad.
+            lanes: `ONE` or `MANY`.
+        """
         self._law, self.lanes = law, lanes
         self._tick, self._time, self._lift = tick, time, lift
         self.orbit_period = law.table.period
@@ -292,18 +309,20 @@ class OrbitSession(ClockedSession):
             tick: the tick in which the command acts.
             states: state (N,) of one run, or states (S, N).
         """
-        law, lanes, x = self._law, self.lanes, states - self._lift
+        law, lanes, without_turns = self._law, self.lanes, states - self._lift
         table, count = law.table, len(law.gains)
         time = self._time + (tick - self._tick) * law.period
         self._tick = tick
         if law.by_phase:
-            late = lanes.dot(x - table.state(time, lanes), law.normals[lanes.nearest(time / table.step) % count])
+            lateness = lanes.dot(
+                without_turns - table.state(time, lanes), law.normals[lanes.nearest(time / table.step) % count]
+            )
             # The correction is at most half a tick, so the clock moves smoothly for any estimate.
-            time = time + lanes.clip(late, -law.period / 2, law.period / 2)
+            time = time + lanes.clip(lateness, -law.period / 2, law.period / 2)
         self._time = time
         k = lanes.nearest(time / table.step) % count
-        wanted = table.state(time, lanes)
-        return law.feedforward[k], lanes.dot(law.gains[k], wanted - x), wanted + self._lift
+        reference = table.state(time, lanes)
+        return law.feedforward[k], lanes.dot(law.gains[k], reference - without_turns), reference + self._lift
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the clock to the nearest phase and return a sentence.
@@ -338,13 +357,13 @@ def orbit_controller(
     count = max(round(orbit.period / model.period), 4)
     table = phase_table(orbit, entries=count)
     feedforward = np.asarray(orbit.input((np.arange(count) + 0.5) * table.step))
-    ticks = SampledModel(model.equations, model.parameters, period=table.step)
-    a, b = ticks.linearised(table.states[:-1], feedforward)
-    gains = periodic_gains(a, b, weights=weights, effort=effort)
+    tick_model = SampledModel(model.equations, model.parameters, period=table.step)
+    state_jacobians, input_jacobians = tick_model.linearised(table.states[:-1], feedforward)
+    gains = periodic_gains(state_jacobians, input_jacobians, weights=weights, effort=effort)
     rates = table.rates(np.arange(count))
-    across = rates / pendulum_scale(model.arms) ** 2
+    scaled_rates = rates / pendulum_scale(model.arms) ** 2
     normals = np.zeros_like(gains)
-    normals[:, : 2 * model.arms] = across / (across * rates).sum(1)[:, None]
+    normals[:, : 2 * model.arms] = scaled_rates / (scaled_rates * rates).sum(1)[:, None]
     return OrbitController(
         settings.kind, table, gains, normals, feedforward, model.period, max(round(seconds / model.period), 1),
         settings.schedule == "phase",

@@ -53,6 +53,7 @@ class SymbolicLaw:
         memory: int = 0,
         first: Sequence[float] | None = None,
     ) -> None:
+        """Check and keep the function, with the first values of its memory; arguments see the class."""
         self.__name__ = getattr(function, "__name__", type(function).__name__)
         if not callable(function):
             raise InputError(f"controller: {function!r} is not a function(state, reference, memory, parameters)")
@@ -66,7 +67,10 @@ class SymbolicLaw:
         return f"<law {self.__name__}: expressions with {len(self.first)} numbers of memory>"
 
     def expression(self, states: int, parameters: int) -> ca.Function:
-        """Return (state, wanted, feedforward, memory, parameters) -> command and next memory, (1+M,).
+        """Return a user's law as a function, which the tick calls.
+
+        (state, wanted, feedforward, memory, parameters) -> command and next memory, (1+M,). `wanted` (N,) is the
+        reference's state.
 
         Args:
             states: number N of states.
@@ -77,16 +81,18 @@ class SymbolicLaw:
         """
         names, memory = ("state", "wanted", "feedforward", "memory", "parameters"), len(self.first)
         sizes = (states, states, 1, memory, parameters)
-        state, wanted, forward, kept, known = symbols = [ca.SX.sym(*one) for one in zip(names, sizes, strict=True)]
+        state, reference_state, feedforward, law_memory, base_parameters = symbols = [
+            ca.SX.sym(*declaration) for declaration in zip(names, sizes, strict=True)
+        ]
         try:
-            pair = self.function(state, Setpoint(wanted, forward), kept, known)
-            if not isinstance(pair, tuple | list) or len(pair) != 2:
+            values = self.function(state, Setpoint(reference_state, feedforward), law_memory, base_parameters)
+            if not isinstance(values, tuple | list) or len(values) != 2:
                 raise TypeError("it must return two values: the command, and the next memory")
-            command, following = pair
-            after = ca.vertcat(*following) if isinstance(following, list | tuple) else ca.SX(following)
-            out = ca.densify(ca.vertcat(ca.SX(command), after))
-            made = ca.Function("law", symbols, [out], [*names], ["out"])
-            check_operations(made)
+            command, following = values
+            memory_after = ca.vertcat(*following) if isinstance(following, list | tuple) else ca.SX(following)
+            out = ca.densify(ca.vertcat(ca.SX(command), memory_after))
+            law = ca.Function("law", symbols, [out], [*names], ["out"])
+            check_operations(law)
         except Exception as error:
             text = " ".join(str(error).split())
             raise InputError(f"controller = {self.__name__}: {type(error).__name__}: {text}") from error
@@ -95,7 +101,7 @@ class SymbolicLaw:
                 f"controller = {self.__name__}: it returned {out.shape[0]} by {out.shape[1]} numbers; it must return "
                 f"one command, and {memory} of memory"
             )
-        return made
+        return law
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,13 +114,14 @@ class SymbolicController(TimedController):
     law: SymbolicLaw = field(kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the reference's schedule with this law.
+        """Return the reference's schedule of inputs and states with this law in place of gains.
 
         Args:
             lead: number of ticks between the computation of a command and its action.
         """
-        made, arms = super().schedule(lead), len(self.first_state) // 2 - 1
-        return replace(made, rows=np.insert(made.rows, -arms, 1.0, axis=1), law=self.law)
+        schedule, arms = super().schedule(lead), len(self.first_state) // 2 - 1
+        # The column before the reference's angles is `own` in `TickEquations.row`: 1 calls the law.
+        return replace(schedule, rows=np.insert(schedule.rows, -arms, 1.0, axis=1), law=self.law)
 
 
 def symbolic_controller(law: SymbolicLaw, reference: Reference, model: SampledModel) -> SymbolicController:
@@ -130,6 +137,6 @@ def symbolic_controller(law: SymbolicLaw, reference: Reference, model: SampledMo
             expressions.
     """
     law.expression(model.dimension, len(model.parameters))
-    flown = tracking_controller(reference, model, FeedforwardSettings())
-    parts = {one.name: getattr(flown, one.name) for one in fields(flown)}
+    tracking = tracking_controller(reference, model, FeedforwardSettings())
+    parts = {attribute.name: getattr(tracking, attribute.name) for attribute in fields(tracking)}
     return SymbolicController(**{**parts, "kind": law.__name__}, law=law)

@@ -152,22 +152,25 @@ class KnownMechanics(NamedTuple):
 
     @property
     def lag(self) -> float:
-        """The lag, s, of belt and shaping."""
+        """Lag of belt and notch together at low frequencies, s, which the filter models; 0 for a rigid belt."""
         return 2 * (_SHAPED_DAMPING - self.damping) / (2 * np.pi * self.belt) if self.belt else 0.0
 
     def notch(self, period: float) -> Array:
-        """Return the coefficients b0, b1, b2, a1, a2 of the notch.
+        """Return the coefficients b0, b1, b2, a1, a2 of the notch that removes the resonance of the belt from commands.
 
         They are those of (s² + 2ζωs + ω²)/(s² + 2ζ'ωs + ω²) by the bilinear transform, exact at ω.
+        Here, ω and ζ are the belt's frequency and damping ratio, and ζ' is the damping ratio with shaped commands.
 
         Args:
             period: time between ticks, s.
         """
         k = 1 / np.tan(np.pi * self.belt * period)
-        own, wide = 2 * self.damping * k, 2 * _SHAPED_DAMPING * k
-        below = k**2 + wide + 1
-        middle = 2 * (1 - k**2) / below
-        return np.array([(k**2 + own + 1) / below, middle, (k**2 - own + 1) / below, middle, (k**2 - wide + 1) / below])
+        belt, shaped = 2 * self.damping * k, 2 * _SHAPED_DAMPING * k
+        leading = k**2 + shaped + 1
+        middle = 2 * (1 - k**2) / leading
+        return np.array(
+            [(k**2 + belt + 1) / leading, middle, (k**2 - belt + 1) / leading, middle, (k**2 - shaped + 1) / leading]
+        )
 
 
 _Acts = namedtuple("_Acts", "ahead drive back coming")
@@ -191,6 +194,10 @@ _Path = namedtuple("_Path", "forward feedback wish command acting saturated afte
 @dataclass(frozen=True, eq=False)
 class TickEquations:
     """The tick of one filter, delay and law.
+
+    In the methods, m, r and c are the memory, the reading and the constants of a tick as expressions, with the names in
+    `memory`, `reading` and `numbers`. N is the number of states, n of arms, E of extras. z (N+E,) is the state followed
+    by the extras.
 
     Attributes:
         whole, lead: whole periods of the delay, and periods of prediction for the command.
@@ -317,10 +324,10 @@ class TickEquations:
         At this tick: wanted (n,), the reference's angles.
         """
         size = self.filter.equations.dimension
-        m, lag = sum(self.shares or ()), int(self.lags)
+        share_count, lag = sum(self.shares or ()), int(self.lags)
         return Layout(Row(
             feedforward=1, gains=size, state=size, drive=lag, drive_gain=lag, extra_gains=len(self.shares or ()),
-            pair_gains=m * (m + 1) // 2, own=int(self.own is not None), wanted=self.filter.arms,
+            pair_gains=share_count * (share_count + 1) // 2, own=int(self.own is not None), wanted=self.filter.arms,
         ))  # fmt: skip
 
     @cached_property
@@ -336,10 +343,10 @@ class TickEquations:
 
         With a belt: notch (5,), see `KnownMechanics.notch`.
         """
-        known, m = self.filter.inputs, self.filter.arms + 1
+        inputs, m = self.filter.inputs, self.filter.arms + 1
         return Layout(Numbers(
-            *[1] * Numbers._fields.index("noise"), noise=m * (m + 1) // 2, parameters=known["parameters"],
-            process=known["process"], fresh=self.filter.dimension, play=self.plays * (m - 1), moves=int(self.plays),
+            *[1] * Numbers._fields.index("noise"), noise=m * (m + 1) // 2, parameters=inputs["parameters"],
+            process=inputs["process"], fresh=self.filter.dimension, play=self.plays * (m - 1), moves=int(self.plays),
             notch=5 * self.shapes,
         ))  # fmt: skip
 
@@ -388,72 +395,87 @@ class TickEquations:
     # The parts.
 
     def _restarted(self, m: Memory, r: Measurement, c: Numbers) -> tuple[ca.SX, ca.SX]:
-        """Return the prediction and its covariance, or those from which a restarting filter begins."""
+        """Return z (N+E,) and its covariance (N+E, N+E) before the update with this reading.
+
+        They are the stored prediction. In a restart (m.restart = 1), z has the measured positions, the predicted rates
+        within three standard deviations of a restart's, and extras of zero. Its variances are then `c.fresh`. If the
+        state is split, z is relative to its origin.
+
+        `m`, `r`, `c`: memory, reading and constants of the tick.
+        """
         n, size, origin = self.filter.arms, self.filter.dimension, self._origin(m)
-        z, triangle, again = m.z, m.covariance, m.restart
+        z, triangle, restarts = m.z, m.covariance, m.restart
         positions_read = r.offset if self.split else r.measured
         # A restarting filter uses the positions, keeps finite rates and resets extras.
-        positions = {**{i: i for i in range(n)}, 2 * n: n}
-        most = [np.inf] * n + [3 * RESTART_RATE] * n + [np.inf, 3 * RESTART_VELOCITY]
-        anew: list[ca.SX] = []
+        position_index = {**{i: i for i in range(n)}, 2 * n: n}
+        largest = [np.inf] * n + [3 * RESTART_RATE] * n + [np.inf, 3 * RESTART_VELOCITY]
+        fresh_state: list[ca.SX] = []
         for i in range(size):
             if i >= 2 * n + 2:
-                anew.append(ca.SX(0))
+                fresh_state.append(ca.SX(0))
                 continue
-            known = ca.if_else(finite(z[i]), z[i], 0)
-            if i in positions:
-                k = positions[i]
-                anew.append(ca.if_else(r.present[k], positions_read[k], known))
+            predicted = ca.if_else(finite(z[i]), z[i], 0)
+            if i in position_index:
+                k = position_index[i]
+                fresh_state.append(ca.if_else(r.present[k], positions_read[k], predicted))
             else:
-                anew.append(within(known + origin[i], ca.SX(most[i])) - origin[i])
-        z = ca.vertcat(*(ca.if_else(again, anew[i], z[i]) for i in range(size)))
+                fresh_state.append(within(predicted + origin[i], ca.SX(largest[i])) - origin[i])
+        z = ca.vertcat(*(ca.if_else(restarts, fresh_state[i], z[i]) for i in range(size)))
         entries: list[ca.SX] = []
-        t = self.filter.carried
+        transformation = self.filter.carried
         for i in range(size):
             for j in range(i + 1):
-                kept = ca.if_else(ca.logic_not(again), triangle[len(entries)], 0)
-                shared = np.flatnonzero(t[i] * t[j]).tolist()
+                stored = ca.if_else(ca.logic_not(restarts), triangle[len(entries)], 0)
+                # Entry (i, j) of T diag(fresh) Tᵀ, since the covariance is that of T z (`FilterEquations.carried`).
+                shared = np.flatnonzero(transformation[i] * transformation[j]).tolist()
                 fresh = sum((c.fresh[k] for k in shared[1:]), c.fresh[shared[0]]) if shared else None
-                entries.append(kept if fresh is None else kept + ca.if_else(again, fresh, 0))
+                entries.append(stored if fresh is None else stored + ca.if_else(restarts, fresh, 0))
         return z, unpack(ca.vertcat(*entries), size)
 
     def _sense(self, m: Memory, r: Measurement, c: Numbers) -> Sensed:
-        """Return the filter's update."""
+        """Return the filter's estimate from prediction and reading, with the checks that a sound estimate passes.
+
+        If the update is not finite or an angle has slipped by a turn, `sound` is 0 and z is the prediction.
+
+        `m`, `r`, `c`: memory, reading and constants of the tick.
+        """
         n, size = self.filter.arms, self.filter.dimension
         # Values here are relative to the origin, if there is one, except rates.
         origin, positions_read = self._origin(m), r.offset if self.split else r.measured
         z, covariance = self._restarted(m, r, c)
         # NaN must not reach the products: zero times NaN is not zero.
-        whole = z + origin
-        moving = ca.vertcat(whole[n : 2 * n], whole[2 * n + 1])
-        now = positions_read + r.age * moving
-        measured = ca.vertcat(*(ca.if_else(r.present[i], now[i], 0) for i in range(n + 1)))
+        absolute = z + origin
+        moving = ca.vertcat(absolute[n : 2 * n], absolute[2 * n + 1])
+        extrapolated = positions_read + r.age * moving
+        measured = ca.vertcat(*(ca.if_else(r.present[i], extrapolated[i], 0) for i in range(n + 1)))
         noise, mark = c.noise, m.mark
         if self.plays:
             shift, spread, mark = self._without_play(m, r, c, measured - ca.DM(self.filter.observation) @ z)
             measured, noise = measured + shift, noise + pack(spread)
-        after, covariance, innovation, nis, weighed = self.filter.updated(
+        updated, covariance, innovation, nis, weighted = self.filter.updated(
             z, covariance, measured, r.present, noise, Timing(r.age, m.timing, moving)
         )
         turns, slipped = self._slipped(m, r, measured - ca.DM(self.filter.observation) @ z, innovation)
         variances = ca.diag(covariance)
         if self.filter.as_measured:
-            back = ca.sparsify(ca.SX(ca.DM(self.filter.restored)))
-            variances = ca.diag(back @ covariance @ back.T)
+            restored = ca.sparsify(ca.SX(ca.DM(self.filter.restored)))
+            variances = ca.diag(restored @ covariance @ restored.T)
         sigmas = ca.vertcat(*(ca.sqrt(variances[i]) for i in range(size)))
         # The last value is not finite if any part of the estimate is not.
-        sound = all_of(nis >= 0, nis <= BIG, finite(ca.sum1(after) + ca.sum1(sigmas)), ca.logic_not(slipped))
+        sound = all_of(nis >= 0, nis <= BIG, finite(ca.sum1(updated) + ca.sum1(sigmas)), ca.logic_not(slipped))
         # Readings cannot resolve half a turn per period: such rates have diverged.
-        sound = all_of(sound, *(ca.fabs(after[n + i] + origin[n + i]) <= np.pi / self.filter.period for i in range(n)))
+        sound = all_of(
+            sound, *(ca.fabs(updated[n + i] + origin[n + i]) <= np.pi / self.filter.period for i in range(n))
+        )
         # If the update fails, the restart begins with the prediction.
-        after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
+        updated = ca.vertcat(*(ca.if_else(sound, updated[i], z[i]) for i in range(size)))
         used = ca.sum1(r.present)
-        aligned, weight = ca.horzsplit(moving.T @ weighed)
+        aligned, weight = ca.horzsplit(moving.T @ weighted)
         timing, timed, lateness = self._timing(m, aligned, weight, sound)
         # Sherman and Morrison: S without the part due to varying ages.
         strain = nis + m.timing * aligned**2 / (1 - m.timing * weight)
         return Sensed(
-            after + origin,
+            updated + origin,
             pack(covariance),
             sigmas,
             nis,
@@ -465,43 +487,46 @@ class TickEquations:
             lateness,
             strain,
             mark,
-            after,
+            updated,
         )
 
     def _without_play(self, m: Memory, r: Measurement, c: Numbers, apart: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return corrections (n+1,) from the encoders' angles to the joints'.
+        """Return corrections (n+1,) from the encoders' angles to the joints', rad; that of the cart is 0.
 
-        Their covariance and the new marks follow.
+        Their covariance (n+1, n+1) and the new marks (n,) follow. A joint that moves its encoder is at the side of the
+        play to which it turns. Any other joint is at the filter's prediction inside the play, or at the nearest side.
+        An angle is the sum of the joints inside it, so corrections of the joints add up along the chain.
 
-        apart (n+1,): readings minus predictions. A joint that moves its encoder is at the side of the play to which it
-        turns. Any other joint is at the filter's prediction inside the play, or at the nearest side.
+        `m`, `r`, `c`: memory, reading and constants of the tick. `apart` (n+1,): readings minus predictions, rad and m.
         """
         n = self.filter.arms
-        sums = ca.DM(np.tril(np.ones((n, n))))
+        chain_sums = ca.DM(np.tril(np.ones((n, n))))
         shifts, variances, marks = [], [], []
         for i in range(n):
             angle = r.measured[i] - (r.measured[i - 1] if i else 0)
-            change, half, behind = angle - m.mark[i], c.play[i] / 2, (apart[i - 1] if i else 0) - apart[i]
-            known = all_of(*(r.present[k] for k in range(max(i - 1, 0), i + 1)))
+            change, half, lag_in_play = angle - m.mark[i], c.play[i] / 2, (apart[i - 1] if i else 0) - apart[i]
+            both_read = all_of(*(r.present[k] for k in range(max(i - 1, 0), i + 1)))
             marked = finite(m.mark[i])
-            moves = all_of(ca.fabs(change) >= c.moves, known, marked)
-            somewhere = within(ca.atan2(ca.sin(behind), ca.cos(behind)), half)
-            shift = ca.if_else(moves, ca.if_else(change > 0, half, -half), somewhere)
-            shifts.append(ca.if_else(known, shift, 0))
+            moves = all_of(ca.fabs(change) >= c.moves, both_read, marked)
+            predicted_place = within(ca.atan2(ca.sin(lag_in_play), ca.cos(lag_in_play)), half)
+            shift = ca.if_else(moves, ca.if_else(change > 0, half, -half), predicted_place)
+            shifts.append(ca.if_else(both_read, shift, 0))
             variances.append((ca.if_else(moves, _AT_SIDE, _IN_PLAY) * half) ** 2)
             # The first mark is the first reading.
             marks.append(ca.if_else(ca.logic_or(moves, ca.logic_not(marked)), angle, m.mark[i]))
-        spread = sums @ ca.diag(ca.vertcat(*variances)) @ sums.T
-        return ca.vertcat(sums @ ca.vertcat(*shifts), 0), ca.diagcat(spread, 0), ca.vertcat(*marks)
+        spread = chain_sums @ ca.diag(ca.vertcat(*variances)) @ chain_sums.T
+        return ca.vertcat(chain_sums @ ca.vertcat(*shifts), 0), ca.diagcat(spread, 0), ca.vertcat(*marks)
 
     def _timing(self, m: Memory, aligned: ca.SX, weight: ca.SX, sound: ca.SX) -> Iterator[ca.SX]:
-        """Return the estimated variance of the readings' age.
+        """Return the variance of the readings' age, s², the information in it, and the mean apparent age, periods.
 
-        The results are the variance, the information in it, and their recent mean, after an update.
+        They are the estimates after this reading, stored as `timing`, `timed` and `lateness`. Without a sound estimate,
+        they are unchanged.
 
-        aligned, weight: ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the apparent age of this innovation. Let a and b be the same
-            for time in periods. Then the log likelihood has the slope (a² - b) / 2 by the variance, and b² / 2 is the
-            information.
+        `m`: memory of the tick. `aligned`, `weight`: ωᵀS⁻¹y and ωᵀS⁻¹ω, whose ratio is the apparent age of this
+        innovation y; ω are the rates and S is the innovation's covariance. Let a and b be the same for time in periods.
+        Then the log likelihood has the slope (a² - b) / 2 by the variance, and b² / 2 is the information.
+
         Source: the score of a Gaussian whose covariance is linear in one parameter.
         """
         period = self.filter.period
@@ -515,51 +540,57 @@ class TickEquations:
         largest = ca.if_else(ca.fabs(late) <= _VERY_LATE, m.timing, 0)
         largest = ca.if_else(ca.fabs(late) <= _LATE, period**2 / 3, largest)
         variance = clipped(m.timing + period**2 * slope / timed, ca.SX(0), largest)
-        after = ((variance, m.timing), (timed, m.timed), (within(late, ca.SX(_OLDEST)), m.lateness))
-        return (ca.if_else(sound, value, before) for value, before in after)
+        estimates = ((variance, m.timing), (timed, m.timed), (within(late, ca.SX(_OLDEST)), m.lateness))
+        return (ca.if_else(sound, value, stored) for value, stored in estimates)
 
     def _slipped(self, m: Memory, r: Measurement, apart: ca.SX, innovation: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return whole turns between readings and predictions (n,).
+        """Return the whole turns between readings and predictions (n,), rad, and 1 if one of them is new.
 
-        The second result is 1 if one of them is new.
+        The filter compares angles modulo a turn. If its rates diverge, its angle can slip by a turn without an
+        innovation, but the encoders count turns. A new turn therefore shows a lost estimate.
 
-        apart (n+1,): the innovation before it is wrapped. The filter cannot detect a whole turn, so it would continue
-        with diverged rates. The encoders count turns.
+        `m`, `r`: memory and reading of the tick. `apart` (n+1,): readings minus predictions before angles are wrapped.
+        `innovation` (n+1,): the same, wrapped. Both are in rad and m.
         """
-        n, again = self.filter.arms, m.restart
-        seen = [ca.if_else(r.present[i], apart[i] - innovation[i], m.turns[i]) for i in range(n)]
-        turns = [ca.if_else(again, 0, turn) for turn in seen]
+        n, restarts = self.filter.arms, m.restart
+        apparent_turns = [ca.if_else(r.present[i], apart[i] - innovation[i], m.turns[i]) for i in range(n)]
+        turns = [ca.if_else(restarts, 0, turn) for turn in apparent_turns]
         # Jumps of a reading, as of an encoder with one turn, and the first reading are not slips.
         jumped = [
             ca.logic_not(ca.fabs(r.measured[i] - (r.measured[i - 1] if i else 0) - m.last[i]) < np.pi)
             for i in self.watch.joints
         ]
         slipped = [ca.fabs(turns[i] - m.turns[i]) > np.pi for i in range(n)]
-        kept = [ca.logic_not(again), *([ca.logic_not(any_of(*jumped))] if jumped else [])]
-        return ca.vertcat(*turns), all_of(any_of(*slipped), *kept)
+        continuous = [ca.logic_not(restarts), *([ca.logic_not(any_of(*jumped))] if jumped else [])]
+        return ca.vertcat(*turns), all_of(any_of(*slipped), *continuous)
 
     def _origin(self, m: Memory) -> ca.SX:
-        """Origin of z, (N+E,), zero if there is none."""
+        """Return the origin of z, (N+E,), from the memory `m`; zero unless the state is split."""
         return ca.vertcat(m.origin, ca.SX(self.filter.dimension - m.origin.shape[0], 1))
 
     def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
-        """Return the cart's accelerations in the period, m/s².
+        """Return the cart's mean acceleration in a period and its acceleration at the period's end, m/s².
 
-        One is the mean, the other that at the end.
+        The first predicts the state over the period, the second is the lagging drive's acceleration for the next
+        period. The drive keeps its velocity reference within its limit. If that already exceeds the limit, the drive
+        returns it with at most its largest acceleration, see `DriveLimits.acting`.
 
-        The drive keeps its velocity reference within its limit. If that already exceeds the limit, the drive returns it
-        with at most its largest acceleration, see `DriveLimits.acting`.
+        `command` m/s²: acts in the period. `velocity` m/s and `drive` m/s²: velocity and acceleration of the cart at
+        its begin. `c`: constants of the run.
         """
         period, fastest = self.filter.period, c.velocity
-        aims = velocity + c.lag * drive if self.lags else velocity
-        given = within(clipped(command, (-fastest - aims) / period, (fastest - aims) / period), c.acceleration)
+        velocity_reference = velocity + c.lag * drive if self.lags else velocity
+        limited = within(
+            clipped(command, (-fastest - velocity_reference) / period, (fastest - velocity_reference) / period),
+            c.acceleration,
+        )
         if not self.lags:
-            return given, drive
+            return limited, drive
         keeps = c.lag_keeps
-        return given + c.lag / period * (1 - keeps) * (drive - given), given + keeps * (drive - given)
+        return limited + c.lag / period * (1 - keeps) * (drive - limited), limited + keeps * (drive - limited)
 
     def law(self, row: Row, ahead: Any, drive: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
-        """Return the feedback of a row, m/s².
+        """Return the feedback of a table's row, m/s², from the state and the extras that the filter estimates.
 
         Args:
             row: one row of the table, by the names of `TickEquations.row`.
@@ -571,34 +602,42 @@ class TickEquations:
         Returns:
             The feedback, and the number of the last extra beyond its trust, from 1, or 0.
         """
-        feedback, untrusted = 0.0, 0.0
+        feedback, last_untrusted = 0.0, 0.0
         for i in range(ahead.shape[0]):
             feedback += row.gains[i] * (row.state[i] - ahead[i])
         if self.lags:
             feedback += row.drive_gain * (row.drive - drive)
-        found_wrong: list[Any] = []
+        trusted_shares: list[Any] = []
         for i, share in enumerate(self.shares or ()):
             value = extra[i]
             if share:
-                untrusted = ca.if_else(ca.fabs(value) > trust, i + 1, untrusted)
+                last_untrusted = ca.if_else(ca.fabs(value) > trust, i + 1, last_untrusted)
                 value = within(value, trust)
-                found_wrong.append(value)
+                trusted_shares.append(value)
             feedback -= row.extra_gains[i] * value
-        for k, (one, other) in enumerate(combinations_with_replacement(found_wrong, 2)):
-            feedback -= row.pair_gains[k] * one * other
-        return feedback, untrusted
+        for k, (first, second) in enumerate(combinations_with_replacement(trusted_shares, 2)):
+            feedback -= row.pair_gains[k] * first * second
+        return feedback, last_untrusted
 
     def _by_own(self, m: Memory, row: Row, ahead: ca.SX, parameters: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the feedback of a user's law, m/s², and its memory."""
+        """Return the feedback of a user's law, m/s², and its next memory; without such a law, 0 and m.own.
+
+        `m`, `row`: memory of the tick and row of the table. `ahead` (N,): state at which the command acts. `parameters`
+        (p,): base parameters of the model.
+        """
         if self.own is None:
             return ca.SX(0), m.own
         law = self.own.expression(ahead.shape[0], parameters.shape[0])
-        out = law(ahead, row.state, row.feedforward, m.own, parameters)
-        command, memory = ca.vertsplit(out, [0, 1, out.shape[0]])
+        result = law(ahead, row.state, row.feedforward, m.own, parameters)
+        command, memory = ca.vertsplit(result, [0, 1, result.shape[0]])
         return ca.if_else(row.own, command - row.feedforward, 0), memory
 
     def _finish(self, known: Known, *, predicts: bool) -> ca.SX:
-        """Return memory and report after an estimate, joined."""
+        """Return the next memory and the report of a tick, joined to one vector, from its reading, row and estimate.
+
+        `predicts`: True to include the filter's prediction for the next tick, False if another estimator replaces the
+        filter.
+        """
         law = self._by_law(known)
         means = self._means(known, predicts=predicts)
         verdict = self._verdict(known, law, means, predicts=predicts)
@@ -609,49 +648,73 @@ class TickEquations:
 
     def _by_law(self, known: Known) -> _Law:
         """Return feedforward and feedback before limits, and the memory of a user's law."""
-        row, c, size = known.row, known.numbers, self.filter.equations.dimension
-        e, acts = known.sensed, known.acts
-        by_row, untrusted = self.law(row, acts.ahead, acts.drive, e.z[size:], c.trust)
-        by_own, own = self._by_own(known.memory, row, acts.ahead, c.parameters)
-        feedback = acts.back + by_row + by_own
-        sound = ca.logic_and(e.sound, finite(row.feedforward + feedback))
-        return _Law(row.feedforward, feedback, sound, untrusted, by_own, own)
+        row, constants, size = known.row, known.numbers, self.filter.equations.dimension
+        sensed, acts = known.sensed, known.acts
+        row_feedback, untrusted = self.law(row, acts.ahead, acts.drive, sensed.z[size:], constants.trust)
+        own_feedback, own_memory = self._by_own(known.memory, row, acts.ahead, constants.parameters)
+        feedback = acts.back + row_feedback + own_feedback
+        sound = ca.logic_and(sensed.sound, finite(row.feedforward + feedback))
+        return _Law(row.feedforward, feedback, sound, untrusted, own_feedback, own_memory)
 
     def _means(self, known: Known, *, predicts: bool) -> _Means:
-        """Return means of innovations and of distances from the reference, and the time without measurement."""
-        m, r, c, e, n, period = *known[:2], known.numbers, known.sensed, self.filter.arms, self.filter.period
-        judged = ca.logic_and(e.used > 0, e.sound)
+        """Return the means that `_verdict` compares with bounds: of NIS, of distances from the reference, of silence.
+
+        The NIS of a tick is divided by the number of measured positions, so its mean is about 1 for a right model.
+        """
+        memory, reading, constants, sensed, n, period = (
+            *known[:2],
+            known.numbers,
+            known.sensed,
+            self.filter.arms,
+            self.filter.period,
+        )
+        has_reading = ca.logic_and(sensed.used > 0, sensed.sound)
         # A blow ends within a tick, and is not evidence of a lost estimate.
-        by_position = ca.fmin(e.nis / ca.fmax(e.used, 1), _MOST_AT_ONCE * c.lost_estimate)
-        nis = m.nis + ca.if_else(judged, (by_position - m.nis) * min(period / ESTIMATE_MEMORY, 1), 0)
-        strained = ca.fmin(e.strain / ca.fmax(e.used, 1), _MOST_AT_ONCE * c.lost_estimate)
-        strain = m.strain + ca.if_else(judged, (strained - m.strain) * min(period / ESTIMATE_MEMORY, 1), 0)
-        silent = ca.if_else(r.present, 0, (m.silent + period) * ca.DM(self.measured))
-        angles = [e.z[i] for i in range(n)]
+        nis_per_position = ca.fmin(sensed.nis / ca.fmax(sensed.used, 1), _MOST_AT_ONCE * constants.lost_estimate)
+        nis = memory.nis + ca.if_else(
+            has_reading, (nis_per_position - memory.nis) * min(period / ESTIMATE_MEMORY, 1), 0
+        )
+        strain_per_position = ca.fmin(sensed.strain / ca.fmax(sensed.used, 1), _MOST_AT_ONCE * constants.lost_estimate)
+        strain = memory.strain + ca.if_else(
+            has_reading, (strain_per_position - memory.strain) * min(period / ESTIMATE_MEMORY, 1), 0
+        )
+        silent = ca.if_else(reading.present, 0, (memory.silent + period) * ca.DM(self.measured))
+        angles = [sensed.z[i] for i in range(n)]
         if predicts:
             # By the readings, which are right if the estimate is wrong. Another estimator's turns are unknown here.
-            angles = [ca.if_else(r.present[i], r.measured[i] - e.turns[i], angles[i]) for i in range(n)]
+            angles = [
+                ca.if_else(reading.present[i], reading.measured[i] - sensed.turns[i], angles[i]) for i in range(n)
+            ]
         distance = reduce(ca.fmax, [ca.fabs(angles[i] - known.row.wanted[i]) for i in range(n)])
-        blind = ca.logic_and(m.restart, ca.logic_not(e.used > 0))
-        seen = ca.logic_and(e.sound, ca.logic_not(blind))
-        error = m.error + ca.if_else(seen, (distance - m.error) * min(period / TRACKING_MEMORY, 1), 0)
+        blind = ca.logic_and(memory.restart, ca.logic_not(sensed.used > 0))
+        comparable = ca.logic_and(sensed.sound, ca.logic_not(blind))
+        error = memory.error + ca.if_else(comparable, (distance - memory.error) * min(period / TRACKING_MEMORY, 1), 0)
         return _Means(nis, strain, silent, distance, blind, error)
 
     def _verdict(self, known: Known, law: _Law, means: _Means, *, predicts: bool) -> _Verdict:
-        """Return the outcome, written so that NaN stops the run."""
-        m, c, e, n = known.memory, known.numbers, known.sensed, self.filter.arms
-        sound = all_of(law.finite, means.nis <= c.lost_estimate, finite(means.distance + ca.sum1(e.z[:n])))
+        """Return the tick's outcome: continue, restart the filter, move the clock, hold, or stop with the cause.
+
+        A stuck sensor and a drive that is not followed are checked here as well, so the watch's memory is part of the
+        result. Conditions are written so that NaN stops the run.
+        """
+        memory, constants, sensed, n = known.memory, known.numbers, known.sensed, self.filter.arms
+        sound = all_of(law.finite, means.nis <= constants.lost_estimate, finite(means.distance + ca.sum1(sensed.z[:n])))
         lost = ca.logic_not(sound)
-        restarts = ca.logic_and(lost, m.restarts < c.restarts - 0.5)
-        leaves = self._farthest_reach(known) >= c.travel
+        restarts = ca.logic_and(lost, memory.restarts < constants.restarts - 0.5)
+        leaves = self._farthest_reach(known) >= constants.travel
         # A cart that follows fallen arms is not the cause of the ending.
-        fallen = ca.logic_and(leaves, means.distance > c.lost_tracking)
-        most = ca.if_else(m.held, ca.fmax(c.lost_tracking, LOST_AFTER_FALLBACK), c.lost_tracking)
-        astray = means.error > most
-        holds = all_of(astray, c.can_hold, ca.logic_not(m.held))
-        moves = all_of(c.resynchronise > 0, means.error > c.resynchronise, m.moved > TRACKING_MEMORY)
-        taken = (e.relative if self.split else e.z)[: 2 * n] - m.z[: 2 * n] if predicts else None
-        stuck = self.watch.stuck(known, ca.if_else(restarts, 0, means.strain), taken)
+        fallen = ca.logic_and(leaves, means.distance > constants.lost_tracking)
+        largest_error = ca.if_else(
+            memory.held, ca.fmax(constants.lost_tracking, LOST_AFTER_FALLBACK), constants.lost_tracking
+        )
+        astray = means.error > largest_error
+        holds = all_of(astray, constants.can_hold, ca.logic_not(memory.held))
+        moves = all_of(
+            constants.resynchronise > 0, means.error > constants.resynchronise, memory.moved > TRACKING_MEMORY
+        )
+        # Changes of angles and rates by the update, (2n,): a stuck encoder needs steady corrections.
+        corrections = (sensed.relative if self.split else sensed.z)[: 2 * n] - memory.z[: 2 * n] if predicts else None
+        stuck = self.watch.stuck(known, ca.if_else(restarts, 0, means.strain), corrections)
         drive, sensor, watch = self.watch.unfollowed(known, stuck)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrides those before it.
@@ -668,61 +731,74 @@ class TickEquations:
                     (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
                     (leaves, Outcome.CART),
                     (fallen, Outcome.FALLEN),
-                    (ca.mmax(means.silent) > c.missing, Outcome.SILENT),
+                    (ca.mmax(means.silent) > constants.missing, Outcome.SILENT),
                     (lost, Outcome.ESTIMATE_LOST),
                 )
             ),
         ):
             outcome = ca.if_else(condition, int(code), outcome)
         outcome = ca.if_else(drive > 0, drive, outcome)
-        outcome = ca.if_else(m.stopped > 0, int(Outcome.GO_ON), outcome)
-        stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m.stopped)
+        # A run that has been stopped keeps its first cause while the cart brakes.
+        outcome = ca.if_else(memory.stopped > 0, int(Outcome.GO_ON), outcome)
+        stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, memory.stopped)
         return _Verdict(outcome, stopped, sensor, watch)
 
     def _farthest_reach(self, known: Known) -> ca.SX:
-        """Return the cart's resting place if it brakes now, or its place if it is farther, m from the centre."""
-        m, c, n = known.memory, known.numbers, self.filter.arms
-        x, v, sent = known.acts.ahead[2 * n], known.acts.ahead[2 * n + 1], m.velocity
+        """Return the cart's resting place if it brakes now, or its place if it is farther, m from the centre.
+
+        `_verdict` compares it with the half length of the track. It includes the supervisor's margin.
+        """
+        memory, constants, n = known.memory, known.numbers, self.filter.arms
+        position, velocity, sent = known.acts.ahead[2 * n], known.acts.ahead[2 * n + 1], memory.velocity
         # The drive is no faster, whatever the estimate of a cart whose scale has just stuck.
-        v = ca.fmin(ca.fmax(v, -_FASTEST * c.velocity), _FASTEST * c.velocity)
+        velocity = ca.fmin(ca.fmax(velocity, -_FASTEST * constants.velocity), _FASTEST * constants.velocity)
         # A return, which has no margin, brings the cart back onto its track.
-        farthest = ca.fmax(ca.if_else(c.margin > 0, ca.fabs(x), 0), self._stopping_point(x, v, c))
+        farthest = ca.fmax(
+            ca.if_else(constants.margin > 0, ca.fabs(position), 0), self._stopping_point(position, velocity, constants)
+        )
         # Sent commands without an effect yet, for a lagging drive.
-        return ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, m.heading, c), -BIG))
+        return ca.fmax(
+            farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(position, memory.heading, constants), -BIG)
+        )
 
     def _path(self, known: Known, law: _Law, verdict: _Verdict) -> _Path:
-        """Return the command within the drive's limits.
+        """Return the command within the drive's limits, its parts, and the acceleration in the coming period.
 
-        The acceleration in the coming period is included.
+        During a stop, the command brakes the cart to rest, and the law is ignored. `after` is the memory with the
+        command among the pending ones.
         """
-        m, c, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
-        most, fastest, sent, stop = c.acceleration, c.velocity, m.velocity, verdict.stopped > 0
+        memory, constants, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
+        limit, top_speed, sent, stop = constants.acceleration, constants.velocity, memory.velocity, verdict.stopped > 0
         forward = ca.if_else(ca.logic_or(stop, ca.logic_not(law.finite)), 0, law.forward)
         feedback = ca.if_else(law.finite, law.feedback, 0)
-        feedback = ca.if_else(stop, within(-sent / period, BRAKING * most), feedback)
+        feedback = ca.if_else(stop, within(-sent / period, BRAKING * limit), feedback)
         wish = forward + feedback
-        command = within(wish, most)
-        velocity = within(sent + command * period, fastest)
+        command = within(wish, limit)
+        velocity = within(sent + command * period, top_speed)
         # Braking to rest leaves a rounding error.
         velocity = ca.if_else(ca.fabs(velocity) > AT_REST, velocity, 0)
-        still = ca.if_else(all_of(m.stopped > 0, ca.logic_not(ca.fabs(sent) > 0)), m.still + period, 0)
-        queue, coming = m.sent, known.acts.coming
+        still = ca.if_else(all_of(memory.stopped > 0, ca.logic_not(ca.fabs(sent) > 0)), memory.still + period, 0)
+        queue, coming = memory.sent, known.acts.coming
         if coming is None:
-            queue = ca.vertcat(m.sent[1:], command)
-            coming = c.share * queue[0] + (1 - c.share) * queue[1]
-        place = self.filter.equations.dimension - 1
-        acting, moved_on = self._acting(coming, known.sensed.z[place], m.drive, c)
-        saturated = ca.logic_or(ca.fabs(wish) > most, ca.fabs(velocity) >= fastest)
-        heading, v = m.heading, known.acts.ahead[2 * n + 1]
-        heading = within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
+            queue = ca.vertcat(memory.sent[1:], command)
+            coming = constants.share * queue[0] + (1 - constants.share) * queue[1]
+        velocity_index = self.filter.equations.dimension - 1
+        acting, drive_at_end = self._acting(coming, known.sensed.z[velocity_index], memory.drive, constants)
+        saturated = ca.logic_or(ca.fabs(wish) > limit, ca.fabs(velocity) >= top_speed)
+        heading, cart_velocity = memory.heading, known.acts.ahead[2 * n + 1]
+        heading = within(heading + command * period + (cart_velocity - heading) * min(period / _LAGS, 1), top_speed)
         shaped, notch = self._shaped(known, command)
         after = verdict.watch._replace(
-            sent=queue, velocity=velocity, heading=heading, still=still, drive=moved_on, shaped=notch
+            sent=queue, velocity=velocity, heading=heading, still=still, drive=drive_at_end, shaped=notch
         )
         return _Path(forward, feedback, wish, shaped, acting, saturated, after)
 
     def _shaped(self, known: Known, command: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """The command to the drive, and the memory of its shaping."""
+        """Return the command that is sent to the drive, m/s², and the notch's next memory (2,).
+
+        For an elastic belt, the notch removes the belt's resonance from `command`; otherwise the command is sent
+        unchanged.
+        """
         if not self.shapes:
             return command, known.memory.shaped
         # Drive, shaping and belt act as a lag, which the filter models.
@@ -736,67 +812,75 @@ class TickEquations:
     def _memory(
         self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path, *, predicts: bool
     ) -> Memory:
-        """Return the memory for the next tick."""
-        m, e, period = known.memory, known.sensed, self.filter.period
-        falls, again = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
-        moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
+        """Return the memory for the next tick: that of the path, with prediction, means, verdict and watches."""
+        memory, sensed, period = known.memory, known.sensed, self.filter.period
+        holds, restarts = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
+        clock_moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
         z, covariance = self._predicted(known, means, path.acting, predicts=predicts)
         return self.watch.expected_cart(path.after, known.numbers, path.acting)._replace(
-            z=z, covariance=covariance, turns=e.turns, timing=e.timing, timed=e.timed, lateness=e.lateness,
-            strain=means.strain, error=ca.if_else(falls, 0, means.error),
-            nis=ca.if_else(again, 0, means.nis), silent=means.silent,
-            restarts=m.restarts * (1 - min(period / RESTART_MEMORY, 1)) + again,
-            held=ca.if_else(falls, 1, m.held), moved=ca.if_else(moved, 0, m.moved + period),
-            restart=ca.logic_or(again, means.blind), stopped=verdict.stopped, acted=path.acting,
-            cut=path.saturated, was_untrusted=ca.logic_or(m.was_untrusted, law.untrusted > 0), own=law.own,
-            drive_watch=self.watch.expected_arms(known, verdict.watch.drive_watch, path.acting), mark=e.mark,
+            z=z, covariance=covariance, turns=sensed.turns, timing=sensed.timing, timed=sensed.timed,
+            lateness=sensed.lateness, strain=means.strain, error=ca.if_else(holds, 0, means.error),
+            nis=ca.if_else(restarts, 0, means.nis), silent=means.silent,
+            restarts=memory.restarts * (1 - min(period / RESTART_MEMORY, 1)) + restarts,
+            held=ca.if_else(holds, 1, memory.held), moved=ca.if_else(clock_moved, 0, memory.moved + period),
+            restart=ca.logic_or(restarts, means.blind), stopped=verdict.stopped, acted=path.acting,
+            cut=path.saturated, was_untrusted=ca.logic_or(memory.was_untrusted, law.untrusted > 0), own=law.own,
+            drive_watch=self.watch.expected_arms(known, verdict.watch.drive_watch, path.acting), mark=sensed.mark,
         )  # fmt: skip
 
     def _predicted(self, known: Known, means: _Means, acting: ca.SX, *, predicts: bool) -> tuple[ca.SX, ca.SX]:
-        """Return the filter's prediction over the coming period.
+        """Return the filter's prediction z (N+E,) for the next reading, and its covariance packed.
 
-        Without `predicts`, its memory is unchanged.
+        Without `predicts`, the memory's values are returned unchanged, since another estimator replaces the filter.
+
+        `acting`: mean acceleration of the cart in the coming period, m/s².
         """
-        m, c, e = known.memory, known.numbers, known.sensed
+        memory, constants, sensed = known.memory, known.numbers, known.sensed
         if not predicts:
-            return m.z, m.covariance
-        start, origin = (e.relative, self._origin(m)) if self.split else (e.z, None)
-        covariance = unpack(e.covariance, self.filter.dimension)
-        noise_inputs = self.filter.noise_inputs(covariance, acting - m.acted, means.nis)
+            return memory.z, memory.covariance
+        start, origin = (sensed.relative, self._origin(memory)) if self.split else (sensed.z, None)
+        covariance = unpack(sensed.covariance, self.filter.dimension)
+        noise_inputs = self.filter.noise_inputs(covariance, acting - memory.acted, means.nis)
         predicted = self.filter.predicted
-        following, jacobian, noise = predicted(start, acting, c.parameters, c.process, noise_inputs, origin)
+        following, jacobian, noise = predicted(
+            start, acting, constants.parameters, constants.process, noise_inputs, origin
+        )
         return following, propagated(jacobian, covariance, noise)
 
     def _report(self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path) -> Report:
-        """Return the report for loop and log."""
-        m, e, size, stop = known.memory, known.sensed, self.filter.equations.dimension, verdict.stopped > 0
-        newly_cut = ca.logic_and(path.saturated, ca.logic_not(m.cut))
-        newly_untrusted = ca.if_else(m.was_untrusted, 0, law.untrusted)
+        """Return the tick's report for loop and log: estimate, command, mode, outcome and checked means.
+
+        Errors of parameters, which z has as logarithms, are relative in the report.
+        """
+        memory, sensed, size, stop = known.memory, known.sensed, self.filter.equations.dimension, verdict.stopped > 0
+        newly_cut = ca.logic_and(path.saturated, ca.logic_not(memory.cut))
+        newly_untrusted = ca.if_else(memory.was_untrusted, 0, law.untrusted)
         repeats = ca.SX(0)
         for i in range(self.filter.arms + 1):
             repeats = ca.if_else(ca.eq(verdict.sensor, i + 1), verdict.watch.same[i], repeats)
-        tracks = ca.if_else(path.saturated, int(Mode.SATURATED), known.numbers.mode)
+        running_mode = ca.if_else(path.saturated, int(Mode.SATURATED), known.numbers.mode)
         # Reports and logs hold relative errors, the filter logarithms.
-        extras, sigmas = e.z[:, :], e.sigmas[:, :]
+        extras, sigmas = sensed.z[:, :], sensed.sigmas[:, :]
         for i in self.filter.shares:
             sigmas[i] *= ca.exp(extras[i])
             extras[i] = ca.exp(extras[i]) - 1
         return Report(
-            state=e.z[:size], wish=path.wish, feedforward=path.forward, feedback=path.feedback, acting=path.acting,
-            saturated=path.saturated, nis=e.nis, mode=ca.if_else(stop, int(Mode.ABORTED), tracks), sigmas=sigmas,
-            extra=extras[size:], command=path.command, outcome=verdict.outcome, stop=stop,
+            state=sensed.z[:size], wish=path.wish, feedforward=path.forward, feedback=path.feedback, acting=path.acting,
+            saturated=path.saturated, nis=sensed.nis, mode=ca.if_else(stop, int(Mode.ABORTED), running_mode),
+            sigmas=sigmas, extra=extras[size:], command=path.command, outcome=verdict.outcome, stop=stop,
             done=path.after.still > SETTLING, newly_cut=newly_cut, untrusted=newly_untrusted, sensor=verdict.sensor,
-            repeats=repeats, error=means.error, mean_nis=means.nis, silent=ca.mmax(means.silent), used=e.used,
+            repeats=repeats, error=means.error, mean_nis=means.nis, silent=ca.mmax(means.silent), used=sensed.used,
             ahead=known.acts.ahead, notable=verdict.outcome + stop, news=newly_cut + newly_untrusted,
             own=law.by_own + known.row.feedforward,
         )  # fmt: skip
 
     def _stopping_point(self, position: ca.SX, velocity: ca.SX, c: Numbers) -> ca.SX:
-        """Return the cart's resting place if it brakes now.
-
-        The cart's resting place is measured from the centre in the direction of the cart's motion, m.
+        """Return the cart's resting place if it brakes now, from the centre in its direction of motion, m.
 
         It is negative on the side of its start, and includes the margin.
+
+        `position` m, `velocity` m/s: of the cart when braking is commanded. `c`: constants of the run, of which c.onset
+        passes until braking acts.
         """
         reached = position + velocity * c.onset
         return ca.if_else(velocity < 0, -reached, reached) + velocity * velocity / c.brake + c.margin
@@ -805,32 +889,42 @@ class TickEquations:
 
     def function(self) -> ca.Function:
         """Return the whole tick: (reading, row, numbers, memory) -> memory and report."""
-        (reading, r), (row, t), (numbers, c), (memory, m) = self._symbols()
-        e = self._sense(m, r, c)
-        z, drive = e.z, m.drive
-        for command in pending_commands(m.sent, c.share, whole=self.whole, lead=self.lead):
-            z, drive = self._moved(z, drive, command, c)
-        out = self._finish(Known(m, r, t, c, e, _Acts(self._seen(z, r), drive, ca.SX(0), None)), predicts=True)
-        return _function("tick", {"reading": reading, "row": row, "numbers": numbers, "memory": memory}, out)
+        (reading, reading_parts), (row, row_parts), (numbers, constants), (memory, memory_parts) = self._symbols()
+        sensed = self._sense(memory_parts, reading_parts, constants)
+        z, drive = sensed.z, memory_parts.drive
+        for command in pending_commands(memory_parts.sent, constants.share, whole=self.whole, lead=self.lead):
+            z, drive = self._moved(z, drive, command, constants)
+        result = self._finish(
+            Known(
+                memory_parts,
+                reading_parts,
+                row_parts,
+                constants,
+                sensed,
+                _Acts(self._seen(z, reading_parts), drive, ca.SX(0), None),
+            ),
+            predicts=True,
+        )
+        return _function("tick", {"reading": reading, "row": row, "numbers": numbers, "memory": memory}, result)
 
     def sense(self) -> ca.Function:
-        """Return the first part: (memory, reading, numbers) -> `sensed`."""
-        (reading, r), _, (numbers, c), (memory, m) = self._symbols()
-        out = self.sensed.joined(self._sense(m, r, c))
-        return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, out)
+        """Return the first part of a split tick, the filter's update: (memory, reading, numbers) -> `sensed`."""
+        (reading, reading_parts), _, (numbers, constants), (memory, memory_parts) = self._symbols()
+        result = self.sensed.joined(self._sense(memory_parts, reading_parts, constants))
+        return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, result)
 
     def moved(self) -> ca.Function:
-        """Return one period of the prediction.
+        """Return one period of the prediction up to the time at which a command acts.
 
         (z, drive, command, numbers) -> the next z, then the next drive.
         """
         z, drive, command = ca.SX.sym("z", self.filter.dimension), ca.SX.sym("drive"), ca.SX.sym("command")
-        numbers, c = self.numbers.symbols("numbers")
-        out = ca.vertcat(*self._moved(z, drive, command, c))
-        return _function("moved", {"z": z, "drive": drive, "command": command, "numbers": numbers}, out)
+        numbers, constants = self.numbers.symbols("numbers")
+        result = ca.vertcat(*self._moved(z, drive, command, constants))
+        return _function("moved", {"z": z, "drive": drive, "command": command, "numbers": numbers}, result)
 
     def finish(self, *, predicts: bool) -> ca.Function:
-        """Return the second part.
+        """Return the second part of a split tick, which follows the law.
 
         (reading, row, numbers, memory, sensed, ahead, drive, back) -> memory and report.
 
@@ -841,42 +935,55 @@ class TickEquations:
         Args:
             predicts: True to predict the next state, False to keep the filter's memory.
         """
-        (reading, r), (row, t), (numbers, c), (memory, m) = self._symbols()
-        sensed, e = self.sensed.symbols("sensed")
-        ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
+        (reading, reading_parts), (row, row_parts), (numbers, constants), (memory, memory_parts) = self._symbols()
+        sensed, sensed_parts = self.sensed.symbols("sensed")
+        ahead_state, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
         drive = ca.SX.sym("drive")
         coming = None if self.unrolled else ca.SX.sym("coming")
-        out = self._finish(Known(m, r, t, c, e, _Acts(ahead, drive, back, coming)), predicts=predicts)
+        result = self._finish(
+            Known(
+                memory_parts, reading_parts, row_parts, constants, sensed_parts, _Acts(ahead_state, drive, back, coming)
+            ),
+            predicts=predicts,
+        )
         inputs = {"reading": reading, "row": row, "numbers": numbers, "memory": memory, "sensed": sensed}
-        inputs |= {"ahead": ahead, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
-        return _function("finish", inputs, out)
+        inputs |= {"ahead": ahead_state, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
+        return _function("finish", inputs, result)
 
     def _symbols(self) -> list[tuple[ca.SX, Any]]:
-        """Return vectors of reading, row, numbers and memory, each with its parts."""
+        """Return the vectors of reading, row, numbers and memory, the inputs of a tick, each with its parts by name."""
         # The memory is last, so that a row of an array can have it as output of one tick and input of the next.
         layouts = {"reading": self.reading, "row": self.row, "numbers": self.numbers, "memory": self.memory}
         symbols = [layout.symbols(name) for name, layout in layouts.items()]
         reading, parts = symbols[0]
-        shown = {name: self._measured_only(getattr(parts, name)) for name in ("measured", "present")}
-        return [(reading, parts._replace(**shown)), *symbols[1:]]
+        visible = {name: self._measured_only(getattr(parts, name)) for name in ("measured", "present")}
+        return [(reading, parts._replace(**visible)), *symbols[1:]]
 
     def _measured_only(self, values: ca.SX) -> ca.SX:
-        """Values (n+1,) of the positions, 0 for the arms without an encoder."""
+        """Return values (n+1,) of the positions, with 0 for the arms without an encoder."""
         return ca.vertcat(*(values[i] if measured else 0 for i, measured in enumerate(self.measured)))
 
     def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Numbers) -> tuple[ca.SX, ca.SX]:
-        """State and extras, and the cart's acceleration, a period later."""
+        """Return z (N+E,) and the cart's acceleration, m/s², a period later.
+
+        `command` m/s²: acts in the period. `drive` m/s²: acceleration of the cart at its begin, for a lagging drive.
+        `c`: constants of the run.
+        """
         acting, following = self._acting(command, z[self.filter.equations.dimension - 1], drive, c)
+        # Only z is used, so the inputs of the noise are zero.
         return self.filter.predicted(z, acting, c.parameters, c.process, ca.SX(3, 1))[0], following
 
     def _seen(self, z: ca.SX, r: Measurement) -> ca.SX:
-        """The state that the law receives."""
+        """Return the state (N,) that the law receives: z without extras, with the simulated error of measured rates.
+
+        `r`: reading of the tick, which has this error.
+        """
         n, size = self.filter.arms, self.filter.equations.dimension
         return ca.vertcat(*(z[i] + (r.rate_error[i - n] if n <= i < 2 * n else 0) for i in range(size)))
 
 
 def pending_commands(sent: Any, share: Any, *, whole: int, lead: int) -> list[Any]:
-    """Return the accelerations in the next periods, m/s².
+    """Return the accelerations in the next periods due to commands that were sent, m/s², to predict the state.
 
     Args:
         sent: sent commands, oldest first, m/s².
@@ -889,6 +996,7 @@ def pending_commands(sent: Any, share: Any, *, whole: int, lead: int) -> list[An
 
 
 def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function:
+    """Return the function from named inputs to the dense vector `out`, with common subexpressions computed once."""
     return ca.Function(name, [*inputs.values()], [ca.cse(ca.densify(out))], [*inputs], ["out"], {"cse": True})
 
 
@@ -898,9 +1006,12 @@ def _tick_equations(
     shares: tuple[bool, ...] | None, lags: bool, mechanics: tuple[bool, bool, tuple[bool, ...]],
     own: "SymbolicLaw | None",
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
-    """Return a tick's equations and their machine code so far.
+    """Return a tick's equations, and a dictionary of their compiled functions by name, empty at first.
 
-    All runs of a process share them.
+    All runs of a process share both, so each function is compiled once.
+
+    path: whole periods of the delay and periods of prediction, or None for a delay too long to unroll. mechanics: True
+    for play, True for a belt, and True for each measured arm.
     """
     filters = FilterEquations(equations, period, augments, as_measured=True)
     whole, lead = path or (0, 0)
@@ -911,11 +1022,10 @@ def _tick_equations(
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
-    """Return a delay's whole periods, and the periods of prediction.
+    """Return a delay's whole periods, and the number of periods over which a tick predicts the state.
 
     Args:
         delay: delay of a command, in periods.
-
     """
     return math.floor(delay), round(delay)
 
@@ -943,6 +1053,18 @@ class TickProgram:
         runs: int = 1,
         mechanics: KnownMechanics | None = None,
     ) -> None:
+        """Prepare the tick; machine code is compiled when it is first used.
+
+        Args:
+            model: model of arms and drive from tick to tick.
+            settings: settings of the filter.
+            noise: covariance (n+1, n+1) of the measured positions.
+            delay: delay of a command, in periods.
+            bounds: values of `Numbers` that judge the run, by name.
+            law: gains by the loop's clock; None for a law with its own clock.
+            runs: number of runs in lockstep.
+            mechanics: the rig's mechanics, by default without play and belt.
+        """
         self._delay = whole, self.lead = whole_periods(delay)
         mechanics = mechanics or KnownMechanics((), 0.0, 0.0)
         unrolls = self.lead <= UNROLLED
@@ -962,78 +1084,80 @@ class TickProgram:
         equations, arms = self.equations, model.arms
         self.period = model.period
         self.lanes = SINGLE if runs == 1 else runs + -runs % VECTOR
-        again = settings.first_covariance(arms).diagonal().copy()
-        again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE**2, RESTART_VELOCITY**2
-        known = {
+        restart_variances = settings.first_covariance(arms).diagonal().copy()
+        restart_variances[arms : 2 * arms], restart_variances[2 * arms + 1] = RESTART_RATE**2, RESTART_VELOCITY**2
+        constants = {
             **bounds, "share": delay - whole, "lag": model.lag, "lag_keeps": model.lag_keeps,
             "noise": packed(noise),
-            "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again,
+            "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": restart_variances,
         }  # fmt: skip
         if equations.plays:
-            known |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
+            constants |= {"play": np.array(mechanics.play), "moves": _MOVES * np.sqrt(noise[0, 0])}
         if equations.shapes:
-            known["notch"] = mechanics.notch(model.period)
+            constants["notch"] = mechanics.notch(model.period)
         sizes = [layout.size for layout in (equations.reading, equations.row, equations.numbers, equations.memory)]
         self._inputs = np.zeros((sum(sizes), self.lanes))
         reading, self.row, self._constants, self.stored = np.split(self._inputs, np.cumsum(sizes)[:-1])
-        self._constants[:] = equations.numbers.filled(self.lanes, **known)
+        self._constants[:] = equations.numbers.filled(self.lanes, **constants)
         self.memory, self.reading = equations.memory.of(self.stored), equations.reading.of(reading)
         self.numbers = equations.numbers.of(self._constants)
         self._out = np.empty((equations.memory.size + equations.report.size, self.lanes))
         self._sent: Array = self.memory.sent if unrolls else np.zeros((whole + 2, self.lanes))
-        self._kept, told = self._out[: equations.memory.size], self._out[equations.memory.size :]
-        self.report = equations.report.of(told)
+        self._kept, report = self._out[: equations.memory.size], self._out[equations.memory.size :]
+        self.report = equations.report.of(report)
         """Report of the last tick, parts (length, lanes), overwritten at the next."""
-        self.logged = told[: equations.report.slices.extra.stop, 0]
+        self.logged = report[: equations.report.slices.extra.stop, 0]
         """Its first parts up to the extras, which a log's row holds, of the first run."""
 
     def machine(self, name: str) -> Compiled:
-        """Return one of the functions as machine code.
+        """Return one of the tick's functions as machine code, compiled at its first use in the process.
 
         Args:
             name: "tick", "sense", "moved", "finish", or "judge" (finish without filter).
         """
         if name not in self._made:
             equations = self.equations
-            make = {
+            builders = {
                 "tick": equations.function, "sense": equations.sense, "moved": equations.moved,
                 "finish": partial(equations.finish, predicts=True), "judge": partial(equations.finish, predicts=False),
             }  # fmt: skip
-            self._made[name] = Compiled(make[name]())
+            self._made[name] = Compiled(builders[name]())
         return self._made[name]
 
     def _call(self, name: str) -> Any:
+        """Return the callable of a function by its name: for one run the faster one, otherwise that for all lanes."""
         return self.machine(name).single if self.runs == 1 else self.machine(name).machine
 
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
-        """Fill the memory for the start of a run.
+        """Fill the memory for the start of a run, as if the pending commands had been sent.
 
         Args:
             first: first state (N,).
             queued: pending commands (lead, runs), oldest first, m/s².
             velocity: velocity of the cart, m/s.
         """
-        most, fastest = self.numbers.acceleration[0, 0], self.numbers.velocity[0, 0]
+        limit, top_speed = self.numbers.acceleration[0, 0], self.numbers.velocity[0, 0]
         sent = np.zeros(self._sent.shape)
         speed = np.full(self.lanes, velocity)
-        for command in np.clip(self.spread(queued), -most, most):
+        for command in np.clip(self.spread(queued), -limit, limit):
             sent = np.concatenate([sent[1:], command[None]])
-            speed = np.clip(speed + command * self.period, -fastest, fastest)
-        t, n = self.equations.filter.carried, self.model.arms
-        start = {
+            speed = np.clip(speed + command * self.period, -top_speed, top_speed)
+        carried, n = self.equations.filter.carried, self.model.arms
+        first_values = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
-            "covariance": packed(t @ self.settings.first_covariance(self.model.arms) @ t.T),
+            "covariance": packed(carried @ self.settings.first_covariance(self.model.arms) @ carried.T),
             "velocity": speed[None], "heading": speed[None], **self.equations.watch.start(velocity, first[n : 2 * n]),
+            # An infinite mark is not finite, so the first reading becomes the mark.
             "timing": TIMING_PRIOR * self.period**2, "timed": TIMING_PRIOR**-2,
             "moved": np.inf, "mark": np.inf, "drive": sent[1][None],
         }  # fmt: skip
         if self.equations.own is not None:
-            start["own"] = self.equations.own.first
-        self.stored[:] = self.equations.memory.filled(self.lanes, **start)
+            first_values["own"] = self.equations.own.first
+        self.stored[:] = self.equations.memory.filled(self.lanes, **first_values)
         self._sent[:] = sent
 
     def spread(self, values: Array) -> Array:
-        """Return values for all lanes, (…, lanes).
+        """Return the runs' values for all lanes, (…, lanes).
 
         The last run's values fill the rest.
 
@@ -1046,7 +1170,7 @@ class TickProgram:
         )  # fmt: skip
 
     def take(self, positions: Array, present: Present, switch: Any, rate_error: Array | None, age: Any = None) -> None:
-        """Take a reading.
+        """Write a reading into the inputs of the next tick.
 
         Args:
             positions: positions (n+1, 1) or (n+1, lanes), rad and m.
@@ -1055,12 +1179,12 @@ class TickProgram:
             rate_error: error (n, 1) or (n, lanes) of the rates that the law receives, rad/s; None to keep the last.
             age: age of the reading, s, None if unknown.
         """
-        seen = self.reading
+        inputs = self.reading
         # A missing position can have any value.
-        seen.measured[:], seen.switch[:], seen.age[:] = positions, switch, 0.0 if age is None else age
-        seen.present[:] = 1.0 if present is None else present if present.ndim > 1 else present[:, None]
+        inputs.measured[:], inputs.switch[:], inputs.age[:] = positions, switch, 0.0 if age is None else age
+        inputs.present[:] = 1.0 if present is None else present if present.ndim > 1 else present[:, None]
         if rate_error is not None:
-            seen.rate_error[:] = rate_error
+            inputs.rate_error[:] = rate_error
 
     def tick(self) -> None:
         """Compute a whole tick with the row in `row`."""
@@ -1073,7 +1197,7 @@ class TickProgram:
         return self._call("tick")
 
     def prepare(self, names: Sequence[str]) -> None:
-        """Compile these functions now.
+        """Compile these functions now, so that no tick of a run waits for the compiler.
 
         Args:
             names: names of functions, see `machine`.
@@ -1082,7 +1206,7 @@ class TickProgram:
             self._call(name)
 
     def resume(self, inputs: Array, told: Array, kept: Array) -> None:
-        """Continue after a tick.
+        """Continue from the result of a tick that was computed elsewhere, as in a block of many ticks.
 
         Args:
             inputs: inputs of the tick (…, lanes), in the order of `TickEquations.function`.
@@ -1098,7 +1222,7 @@ class TickProgram:
         return self._constants[:, 0].copy()
 
     def bound(self, **bounds: float) -> None:
-        """Change some of the `Numbers`.
+        """Change some of the constants in `Numbers`, for example at the start of another law.
 
         Args:
             **bounds: new values by name.
@@ -1126,7 +1250,7 @@ class TickProgram:
         return self.memory.drive[0] if self.equations.lags else np.zeros(self.lanes)
 
     def look_ahead(self, z: Array) -> tuple[Array, Array]:
-        """Return states (N, lanes) for which commands are computed.
+        """Return the states (N, lanes) at which commands of this tick act, by prediction over the pending commands.
 
         `drive` at that time follows.
 
@@ -1139,9 +1263,10 @@ class TickProgram:
         return self.with_rate_error(z[: self.model.dimension]), drive
 
     def pending_accelerations(self) -> tuple[list[Array], Array]:
-        """Return the mean accelerations (lanes,) due to pending commands.
+        """Return the carts' mean accelerations (lanes,) in each of the next `lead` periods by pending commands, m/s².
 
-        There is one entry for each period; `drive` at the end follows.
+        `drive` (lanes,) at the end of these periods follows. An estimator without the compiled filter predicts with
+        them.
         """
         means, drive, model = [], self.drive, self.model
         for command in self.pending_commands():
@@ -1150,17 +1275,17 @@ class TickProgram:
         return means, drive
 
     def with_rate_error(self, states: Array) -> Array:
-        """Return states (N, lanes) as the law receives them.
+        """Return states (N, lanes) as the law receives them, with the simulated error of measured rates.
 
         Args:
             states: states (N, lanes).
         """
-        out = states.copy()
-        out[self.model.arms : 2 * self.model.arms] += self.reading.rate_error
-        return out
+        received = states.copy()
+        received[self.model.arms : 2 * self.model.arms] += self.reading.rate_error
+        return received
 
     def moved(self, z: Array, drive: Array, command: Array) -> tuple[Array, Array]:
-        """Return the estimates and `drive` a period later.
+        """Return the estimates and `drive` a period later, one step of `look_ahead`.
 
         Args:
             z: states and extras (N+E, lanes).
@@ -1171,11 +1296,11 @@ class TickProgram:
             States and extras (N+E, lanes), and `drive` (lanes,).
         """
         inputs = np.concatenate([z, drive[None], command[None], self._constants])
-        out = self._call("moved")(inputs, np.empty((len(z) + 1, self.lanes)))
-        return out[:-1], out[-1]
+        result = self._call("moved")(inputs, np.empty((len(z) + 1, self.lanes)))
+        return result[:-1], result[-1]
 
     def finish(self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True) -> None:
-        """Compute the rest of a tick with the row in `row`.
+        """Compute the rest of a tick after `sense`, with the row in `row`, and store its memory.
 
         Args:
             sensed: output (size, lanes) of `sense`.

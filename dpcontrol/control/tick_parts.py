@@ -81,21 +81,26 @@ Known = namedtuple("Known", "memory reading row numbers sensed acts")
 
 
 def all_of(*conditions: ca.SX) -> ca.SX:
+    """Return the expression that is 1 if all conditions hold, else 0."""
     return reduce(ca.logic_and, conditions)
 
 
 def any_of(*conditions: ca.SX) -> ca.SX:
+    """Return the expression that is 1 if at least one condition holds, else 0."""
     return reduce(ca.logic_or, conditions)
 
 
 def clipped(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    """Return a value limited to two bounds; NaN stays NaN."""
     # NaN stays NaN.
     return ca.if_else(value > high, high, ca.if_else(value < low, low, value))
 
 
 def within(value: ca.SX, most: ca.SX) -> ca.SX:
+    """Return a value limited to ±`most`; NaN stays NaN."""
     return clipped(value, -most, most)
 
 
 def finite(value: ca.SX) -> ca.SX:
+    """Return the expression that is 1 for the finite numbers of a sound run, else 0, also for NaN."""
     return ca.fabs(value) <= BIG

@@ -120,7 +120,7 @@ class TimedController(ReferenceController):
     drive: Array | None = field(default=None, kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule.
+        """Return the gain schedule for commands that act `lead` ticks after their computation.
 
         Args:
             lead: number of ticks between the computation of a command and its action.
@@ -128,12 +128,15 @@ class TimedController(ReferenceController):
         return GainSchedule(self._rows(lead), self.reference_states, self.feedforward[:lead], Mode.TRACKING)
 
     def _rows(self, lead: int, *more: Array) -> Array:
-        """Return the rows (K+1, …) of a schedule whose commands act `lead` ticks later, with further gains (K, …)."""
+        """Return the rows (K+1, …) of a schedule whose commands act `lead` ticks later, with further gains (K, …).
+
+        Their columns are those of `TickEquations.row`.
+        """
         last, n = self.ticks, (len(self.first_state) - 2) // 2
-        acts = np.minimum(np.arange(last + 1) + lead, last)
-        law = np.minimum(acts, last - 1)
-        parts = [self.feedforward[law, None], self.gains[law], self.reference_states[acts]]
-        parts += [*([] if self.drive is None else [self.drive[acts]]), *(m[law] for m in more)]
+        acting_tick = np.minimum(np.arange(last + 1) + lead, last)
+        gain_index = np.minimum(acting_tick, last - 1)
+        parts = [self.feedforward[gain_index, None], self.gains[gain_index], self.reference_states[acting_tick]]
+        parts += [*([] if self.drive is None else [self.drive[acting_tick]]), *(table[gain_index] for table in more)]
         return np.concatenate([*parts, self.reference_states[:, :n]], axis=1)
 
 
@@ -159,7 +162,7 @@ class PhaseController(ReferenceController):
         return PhaseSession(self, place=np.zeros(count), lanes=MANY)
 
     def join(self, tick: int, state: Array) -> "PhaseSession":
-        """Return a session from a tick at the reference's nearest place.
+        """Return a session from a tick at the reference's place nearest to a state, for a handover from another law.
 
         Args:
             tick: first tick.
@@ -174,12 +177,12 @@ class PhaseController(ReferenceController):
             state: state (N,), whose cart is ignored.
         """
         scale = pendulum_scale(len(state) // 2 - 1)
-        away = (self.reference_states[:, : len(scale)] - state[: len(scale)]) / scale
-        return int(np.argmin(np.square(away).sum(1)))
+        differences = (self.reference_states[:, : len(scale)] - state[: len(scale)]) / scale
+        return int(np.argmin(np.square(differences).sum(1)))
 
 
 def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Array, period: float) -> PhaseController:
-    """Return the controller by phase for tabulated gains.
+    """Return the controller whose clock follows the nearest phase, with tabulated states, feedforward and gains.
 
     Args:
         kind: name of the law.
@@ -204,6 +207,14 @@ class PhaseSession(ClockedSession):
     mode = Mode.TRACKING
 
     def __init__(self, law: PhaseController, *, tick: int = 0, place: Any = 0.0, lanes: Lanes = ONE) -> None:
+        """Begin a session at a tick of the loop and a place of the reference.
+
+        Args:
+            law: the controller.
+            tick: tick of the loop.
+            place: fractional tick of the reference, or ticks (S,).
+            lanes: `ONE` for a single run, `MANY` for S runs.
+        """
         self._law, self.lanes = law, lanes
         self._tick, self.place = tick, place
 
@@ -215,14 +226,15 @@ class PhaseSession(ClockedSession):
             states: state (N,) of one run, or states (S, N).
         """
         law, lanes, last = self._law, self.lanes, len(self._law.feedforward)
+        # The clock advances with time, and is then corrected by the lateness.
         place = self.place + max(tick - self._tick, 0)
         self._tick = tick
         k = lanes.clip(lanes.nearest(place), 0, last)
-        late = lanes.dot(law.normals[k], states - interpolated(law.reference_states, place, lanes))
-        self.place = place = place + lanes.clip(late, -MOST, MOST)
-        wanted = interpolated(law.reference_states, place, lanes)
+        lateness = lanes.dot(law.normals[k], states - interpolated(law.reference_states, place, lanes))
+        self.place = place = place + lanes.clip(lateness, -MOST, MOST)
+        reference = interpolated(law.reference_states, place, lanes)
         j = lanes.clip(lanes.nearest(place), 0, last - 1)
-        return law.feedforward[j], lanes.dot(law.gains[j], wanted - states), wanted
+        return law.feedforward[j], lanes.dot(law.gains[j], reference - states), reference
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the clock to the nearest phase and return a sentence.
@@ -265,7 +277,7 @@ class TrackingController(TimedController):
     """Gains by time, also for flights of a program."""
 
     def join(self, tick: int, state: Array) -> "TrackingSession":
-        """Return a session from a tick on.
+        """Return a session in which the reference begins at a tick, for flights of a program.
 
         Args:
             tick: first tick.
@@ -281,12 +293,16 @@ class TrackingSession(Session):
     """
 
     def __init__(self, controller: TrackingController, start: int = 0) -> None:
+        """Begin a session at a tick of the loop.
+
+        Args:
+            controller: the controller.
+            start: tick of the loop at which the reference begins.
+        """
         self._law, self._start = controller, start
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from `tick`.
-
-        After the last, its gain holds the end.
+        """Return the action for the period from `tick`; after the last tick, its gain holds the reference's end.
 
         Args:
             tick: the tick in which the command acts.
@@ -295,8 +311,8 @@ class TrackingSession(Session):
         """
         law, tick = self._law, max(tick - self._start, 0)
         k = min(tick, law.ticks - 1)
-        wanted = law.reference_states[min(tick, law.ticks)]
-        return Action(float(law.feedforward[k]), float(law.gains[k].dot(wanted - state)), wanted, Mode.TRACKING)
+        reference = law.reference_states[min(tick, law.ticks)]
+        return Action(float(law.feedforward[k]), float(law.gains[k].dot(reference - state)), reference, Mode.TRACKING)
 
 
 @dataclass(frozen=True)
@@ -338,7 +354,7 @@ class AdaptiveController(TimedController):
     trust: float
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the gain schedule.
+        """Return the gain schedule, with gains on the extras and on products of the shares.
 
         Args:
             lead: number of ticks between the computation of a command and its action.
@@ -350,7 +366,7 @@ class AdaptiveController(TimedController):
 
 
 def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Array, effort: float) -> Array:
-    """Return P (N, N) of the discrete algebraic Riccati equation.
+    """Return P (N, N), the cost-to-go at a reference's end, from the discrete algebraic Riccati equation.
 
     Args:
         state_jacobian: A (N, N).
@@ -383,7 +399,7 @@ def riccati_gains(
     terminal: Array,
     extras: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return gains of the backward recursion, and P (K+1, N, N).
+    """Return the linear-quadratic gains along a motion, by the backward recursion, and the cost-to-go P (K+1, N, N).
 
     There are gains on the state (K, N) and on the extras (K, E).
 
@@ -396,27 +412,27 @@ def riccati_gains(
         extras: E (K, N, E) and decay factors D (E,) per period; E = 0 without them.
     """
     gains = np.empty_like(input_jacobians)
-    effects, kept = extras or (np.empty((len(gains), gains.shape[1], 0)), np.empty(0))
-    extra_gains = np.empty((len(gains), len(kept)))
-    costs, carried = np.empty((len(gains) + 1, *terminal.shape)), np.zeros(effects.shape[1:])
+    effects, decay = extras or (np.empty((len(gains), gains.shape[1], 0)), np.empty(0))
+    extra_gains = np.empty((len(gains), len(decay)))
+    costs, extra_cost = np.empty((len(gains) + 1, *terminal.shape)), np.zeros(effects.shape[1:])
     costs[-1] = cost = terminal
-    changing = weights.ndim > 1
-    state_cost = weights[-1] if changing else np.diag(weights)
+    by_tick = weights.ndim > 1
+    state_cost = weights[-1] if by_tick else np.diag(weights)
     # numpy's outer and diag would take as long as all the rest.
     for k in range(len(gains) - 1, -1, -1):
-        a, b = state_jacobians[k], input_jacobians[k]
-        weighted = b @ cost
-        curvature = effort + weighted @ b
-        gains[k] = gain = (weighted @ a) / curvature
-        closed = a - b[:, None] * gain
+        matrix, response = state_jacobians[k], input_jacobians[k]
+        weighted = response @ cost
+        curvature = effort + weighted @ response
+        gains[k] = gain = (weighted @ matrix) / curvature
+        closed_loop = matrix - response[:, None] * gain
         if extras:
-            push = cost @ effects[k] + carried * kept
-            extra_gains[k] = (b @ push) / curvature
-            carried = closed.T @ push
-        if changing:
+            extra_push = cost @ effects[k] + extra_cost * decay
+            extra_gains[k] = (response @ extra_push) / curvature
+            extra_cost = closed_loop.T @ extra_push
+        if by_tick:
             state_cost = weights[k]
         # The symmetric (Joseph) form keeps P positive over thousands of steps.
-        cost = state_cost + effort * (gain[:, None] * gain) + closed.T @ cost @ closed
+        cost = state_cost + effort * (gain[:, None] * gain) + closed_loop.T @ cost @ closed_loop
         costs[k] = cost = (cost + cost.T) / 2
     return gains, extra_gains, costs
 
@@ -439,11 +455,11 @@ def tracking_controller(
         GoalMissed: the reference's end cannot be stabilised.
     """
     path = motion_at_ticks(reference, model)
-    most = reference.limits.acceleration
+    limit = reference.limits.acceleration
     if isinstance(settings, FeedforwardSettings):
         gains = np.zeros((len(path.commands), model.dimension + (model.lag > 0)))
-        return TrackingController(settings.kind, path.states, **_by_time(model, path, gains, most))
-    law = tracking_law(path, model, settings, most=most)
+        return TrackingController(settings.kind, path.states, **_by_time(model, path, gains, limit))
+    law = tracking_law(path, model, settings, most=limit)
     if settings.schedule == "phase":
         return phase_controller(
             settings.kind, states=path.states, feedforward=law.feedforward, gains=law.gains, period=model.period
@@ -471,10 +487,10 @@ def tracking_law(
     terminal: Array | None = None,
     coarse: SampledModel | None = None,
 ) -> TrackingController:
-    """Return the controller for a motion at the model's ticks.
+    """Return the TVLQR controller for a motion at the model's ticks, such as a planned flight.
 
     Args:
-        path: states and inputs.
+        path: states and inputs at the ticks.
         model: model of arms and drive from tick to tick.
         settings: weights of the law.
         most: greatest acceleration of the cart, m/s².
@@ -485,28 +501,30 @@ def tracking_law(
         GoalMissed: the end cannot be stabilised, or the gains are infinite.
     """
     coarse = coarse or model
-    every, last = round(coarse.period / model.period), len(path.commands)
-    begins = np.arange(0, last, every)
-    commands = np.add.reduceat(path.commands, begins) / np.minimum(every, last - begins)
-    states = np.concatenate([path.states[:-1:every], path.states[-1:]])
+    stride, last = round(coarse.period / model.period), len(path.commands)
+    begins = np.arange(0, last, stride)
+    commands = np.add.reduceat(path.commands, begins) / np.minimum(stride, last - begins)
+    states = np.concatenate([path.states[:-1:stride], path.states[-1:]])
     diagonal, effort = settings.weights(model.arms, coarse.period)
-    a, b = coarse.lagging(*coarse.linearised(states[:-1], commands))
+    state_jacobians, input_jacobians = coarse.lagging(*coarse.linearised(states[:-1], commands))
     if terminal is None:
-        terminal = terminal_cost(a[-1], b[-1], weights=_widened(np.diag(diagonal), coarse), effort=effort)
+        terminal = terminal_cost(
+            state_jacobians[-1], input_jacobians[-1], weights=_widened(np.diag(diagonal), coarse), effort=effort
+        )
     else:
         terminal = _widened(terminal, coarse)
     weights = _widened(closing_weights(settings, states, coarse), coarse)
-    gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
+    gains, *_ = riccati_gains(state_jacobians, input_jacobians, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
-    known = _by_time(model, path, np.repeat(gains, every, axis=0)[:last], most)
-    return TrackingController(settings.kind, path.states, **known)
+    by_time = _by_time(model, path, np.repeat(gains, stride, axis=0)[:last], most)
+    return TrackingController(settings.kind, path.states, **by_time)
 
 
 def motion_at_ticks(reference: Reference, model: SampledModel) -> TickedMotion:
-    """Return a reference at a model's ticks.
+    """Return a reference's states and inputs at a model's ticks, for which gains are computed.
 
     Args:
         reference: reference to sample.
@@ -520,26 +538,27 @@ def motion_at_ticks(reference: Reference, model: SampledModel) -> TickedMotion:
 
 
 def _widened(weights: Array, model: SampledModel) -> Array:
-    """Return Q (…, N, N), widened if the model's drive lags.
+    """Return weights (…, N, N) for the state of a model whose drive lags, (…, N+1, N+1); unchanged without lag.
 
-    The cart's acceleration then has zero weight.
+    The added state, the cart's acceleration, has zero weight.
     """
     return np.pad(weights, [(0, 0)] * (weights.ndim - 2) + [(0, 1), (0, 1)]) if model.lag else weights
 
 
 def _by_time(model: SampledModel, path: TickedMotion, gains: Array, most: float) -> dict[str, Any]:
-    """Return the fields of a law by time.
-
-    Feedforward, gains (K, N), and data of a lagging drive.
+    """Return the fields of a `TimedController`: feedforward (K,) m/s², gains (K, N), and data of a lagging drive.
 
     The drive's command leads so that its acceleration equals the reference's at the ticks.
+
+    `gains`: (K, N), or (K, N+1) with a lagging drive, the last on the cart's acceleration. `most`: largest
+    acceleration, m/s².
     """
     if not model.lag:
         return {"feedforward": path.commands, "gains": gains}
     keeps, drive = model.lag_keeps, path.drive
-    led = np.clip((drive[1:] - keeps * drive[:-1]) / (1 - keeps), -most, most)
-    on_drive = np.append(gains[:, -1], gains[-1, -1])
-    return {"feedforward": led, "gains": gains[:, :-1], "drive": np.stack([drive, on_drive], axis=1)}
+    leading = np.clip((drive[1:] - keeps * drive[:-1]) / (1 - keeps), -most, most)
+    drive_gains = np.append(gains[:, -1], gains[-1, -1])
+    return {"feedforward": leading, "gains": gains[:, :-1], "drive": np.stack([drive, drive_gains], axis=1)}
 
 
 def regulator_along(
@@ -559,17 +578,19 @@ def regulator_along(
     Raises:
         GoalMissed: the motion's end cannot be stabilised.
     """
-    a, b = model.linearised(states, commands, parameters=parameters)
+    state_jacobians, input_jacobians = model.linearised(states, commands, parameters=parameters)
     diagonal, effort = settings.weights(model.arms, model.period)
-    terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
-    gains, _, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
-    return gains, a - b[:, :, None] * gains[:, None], costs
+    terminal = terminal_cost(state_jacobians[-1], input_jacobians[-1], weights=np.diag(diagonal), effort=effort)
+    gains, _, costs = riccati_gains(
+        state_jacobians, input_jacobians, weights=diagonal, effort=effort, terminal=terminal
+    )
+    return gains, state_jacobians - input_jacobians[:, :, None] * gains[:, None], costs
 
 
 def extra_jacobians(
     model: SampledModel, augment: tuple[Augment, ...], states: Array, commands: Array, process: Array
 ) -> tuple[Array, Array]:
-    """Return effects E (K, N, E) and decay factors D (E,).
+    """Return effects E (K, N, E) of the extras on the state after a period, and their decay factors D (E,) per period.
 
     They come from the estimator's prediction.
 
@@ -587,8 +608,8 @@ def extra_jacobians(
     inputs[:n] = states.T
     for name, value in (("command", commands), ("parameters", model.parameters), ("process", process)):
         inputs[program.slices[name]] = value if name == "command" else value[:, None]
-    out = program(inputs, np.empty((program.size_out, count)))
-    jacobian = out[size : size + size * size].reshape(size, size, count)
+    results = program(inputs, np.empty((program.size_out, count)))
+    jacobian = results[size : size + size * size].reshape(size, size, count)
     # casadi writes column by column: the first index is the column.
     return jacobian[n:, :n].transpose(2, 1, 0).copy(), jacobian[range(n, size), range(n, size), 0].copy()
 
@@ -605,34 +626,40 @@ def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel
     """
     n, count = model.arms, len(states) - 1
     diagonal, _ = settings.weights(n, model.period)
-    out = np.tile(np.diag(diagonal), (count, 1, 1))
+    weights = np.tile(np.diag(diagonal), (count, 1, 1))
     last = max(count - round(settings.closing_time / model.period), 0)
     rates = states[last:-1, n : 2 * n]
-    along = rates[:, :, None] * rates[:, None, :] / (np.square(rates).sum(1) + TURNING**2)[:, None, None]
-    out[last:, :n, :n] += (settings.closing - 1) * diagonal[0] * (np.eye(n) - along)
-    return out
+    path_projection = rates[:, :, None] * rates[:, None, :] / (np.square(rates).sum(1) + TURNING**2)[:, None, None]
+    weights[last:, :n, :n] += (settings.closing - 1) * diagonal[0] * (np.eye(n) - path_projection)
+    return weights
 
 
 def _shifted(
     a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array
 ) -> tuple[Array, Array, Array]:
-    """Return F (K, E) for given feedback gains.
+    """Return gains F (K, E) on constant quantities for fixed feedback gains, with the shifts of states and inputs.
 
-    The shifts of states X (K+1, N, E) and inputs (K, E) follow.
+    The shifts X (K+1, N, E) and (K, E) are those of the reference by a unit of each quantity. The feedback `gains` (K,
+    N) follow the reference that is optimal by `weights` for known constants, to first order. X_{k+1} = (A - B K̂) X_k +
+    E - B F̂, X_0 = 0, with K̂ and F̂ the gains by `weights`. Then F = F̂ + (K̂ - K) X.
 
-    The gains (K, N) follow the reference that is optimal by `weights` for known constants, to first order. X_{k+1} = (A
-    - B K̂) X_k + E - B F̂, X_0 = 0, with K̂ and F̂ the gains by `weights`. Then F = F̂ + (K̂ - K) X.
+    `a` (K, N, N), `b` (K, N), `e` (K, N, E): A, B and E along the reference. `weights` (K, N, N), `effort`, `terminal`
+    (N, N): Q, r and P of the cost.
     """
-    best, directly, _ = riccati_gains(
+    optimal_gains, direct_gains, _ = riccati_gains(
         a, b, weights=weights, effort=effort, terminal=terminal, extras=(e, np.ones(e.shape[2]))
     )
-    out, inputs, states = np.empty_like(directly), np.empty_like(directly), np.zeros((len(b) + 1, *e.shape[1:]))
+    total_gains, inputs, states = (
+        np.empty_like(direct_gains),
+        np.empty_like(direct_gains),
+        np.zeros((len(b) + 1, *e.shape[1:])),
+    )
     for k in range(len(b)):
-        moved = states[k]
-        inputs[k] = -(best[k] @ moved + directly[k])
-        out[k] = directly[k] + (best[k] - gains[k]) @ moved
-        states[k + 1] = a[k] @ moved + e[k] + b[k][:, None] * inputs[k]
-    return out, states, inputs
+        shift = states[k]
+        inputs[k] = -(optimal_gains[k] @ shift + direct_gains[k])
+        total_gains[k] = direct_gains[k] + (optimal_gains[k] - gains[k]) @ shift
+        states[k + 1] = a[k] @ shift + e[k] + b[k][:, None] * inputs[k]
+    return total_gains, states, inputs
 
 
 _SHARE = 0.05
@@ -643,13 +670,13 @@ def _of_second_order(
     model: SampledModel, estimator: FilterSettings, states: Array, commands: Array, *, moved: Array, pushed: Array,
     which: NDArray[np.intp],
 ) -> Array:  # fmt: skip
-    """Return E' (K, N, P) of all pairs of m parameters.
+    """Return E' (K, N, P), the second-order effects of all P pairs of m parameter errors along the shifted path.
 
-    `which` (m,) are the extras with the errors.
+    `adaptive_controller` compensates them like further constant errors. They are central differences of `defects`.
 
-    Args:
-        moved: shift (K+1, N, m) of the states by a unit of each error.
-        pushed: shift (K, m) of the commands by a unit of each error.
+    `states` (K+1, N), `commands` (K,) m/s²: the reference. `moved` (K+1, N, m), `pushed` (K, m) m/s²: shifts of states
+    and commands by a unit of each error. `which` (m,): indices of the extras with the errors. `estimator`: settings
+    that define the extras.
     """
     equations = FilterEquations(model.equations, model.period, estimator.augments)
     n, m, count = model.dimension, len(which), len(commands)
@@ -661,35 +688,38 @@ def _of_second_order(
     lag = model.lag / model.period * (1 - model.lag_keeps)
 
     def defects(shares: Array) -> Array:
-        """Return what the path that moves in proportion to errors (m,) lacks to be a motion, (K, N)."""
-        away, push = moved @ shares, pushed @ shares
-        path = states + away[:, :n]
-        inputs[:n], inputs[program.slices["command"]] = path[:-1].T, commands + push
+        """Return the defects (K, N) of the path that is shifted in proportion to the errors `shares` (m,).
+
+        A defect is the model's state after a period minus the path's next state.
+        """
+        state_shift, command_shift = moved @ shares, pushed @ shares
+        path = states + state_shift[:, :n]
+        inputs[:n], inputs[program.slices["command"]] = path[:-1].T, commands + command_shift
         if model.lag:
-            inputs[program.slices["command"]] += lag * (away[:-1, n] - push)
+            inputs[program.slices["command"]] += lag * (state_shift[:-1, n] - command_shift)
         inputs[n + which] = shares[:, None]
         return program(inputs, out)[:n].T - path[1:]
 
-    effects, unit, without = [], _SHARE * np.eye(m), defects(np.zeros(m))
+    effects, unit, nominal_defects = [], _SHARE * np.eye(m), defects(np.zeros(m))
     for i, j in combinations_with_replacement(range(m), 2):
         if i == j:
-            twice = defects(unit[i]) + defects(-unit[i]) - 2 * without
-            effects.append(twice / (2 * _SHARE**2))
+            second_difference = defects(unit[i]) + defects(-unit[i]) - 2 * nominal_defects
+            effects.append(second_difference / (2 * _SHARE**2))
         else:
-            crossed = (
+            mixed_difference = (
                 defects(unit[i] + unit[j])
                 + defects(-unit[i] - unit[j])
                 - defects(unit[i] - unit[j])
                 - defects(unit[j] - unit[i])
             )
-            effects.append(crossed / (4 * _SHARE**2))
+            effects.append(mixed_difference / (4 * _SHARE**2))
     return np.pad(np.stack(effects, axis=2), ((0, 0), (0, int(model.lag > 0)), (0, 0)))
 
 
 def adaptive_controller(
     reference: Reference, model: SampledModel, settings: AdaptiveSettings, *, estimator: FilterSettings
 ) -> AdaptiveController:
-    """Return the controller for a reference and the estimator's extras.
+    """Return the adaptive controller, which uses the estimator's extras, for a reference.
 
     Args:
         reference: reference to follow.
@@ -708,35 +738,45 @@ def adaptive_controller(
             f'augment = {list(estimator.augment)!r}: add "parameters", and "friction" as well'
         )
     states, commands, drive = motion_at_ticks(reference, model)
-    a, b = model.linearised(states[:-1], commands)
+    state_jacobians, input_jacobians = model.linearised(states[:-1], commands)
     process = estimator.process(model.arms, model.period)
-    e, kept = extra_jacobians(model, estimator.augments, states[:-1], commands, process)
-    (a, b), e = model.lagging(a, b), np.pad(e, ((0, 0), (0, int(model.lag > 0)), (0, 0)))
+    effects, decay = extra_jacobians(model, estimator.augments, states[:-1], commands, process)
+    (state_jacobians, input_jacobians), effects = (
+        model.lagging(state_jacobians, input_jacobians),
+        np.pad(effects, ((0, 0), (0, int(model.lag > 0)), (0, 0))),
+    )
     diagonal, effort = settings.weights(model.arms, model.period)
     weights = _widened(np.diag(diagonal), model)
-    terminal = terminal_cost(a[-1], b[-1], weights=weights, effort=effort)
-    every = np.broadcast_to(weights, (len(b), *weights.shape))
-    gains, extra_gains, _ = riccati_gains(a, b, weights=every, effort=effort, terminal=terminal, extras=(e, kept))
+    terminal = terminal_cost(state_jacobians[-1], input_jacobians[-1], weights=weights, effort=effort)
+    weights_by_tick = np.broadcast_to(weights, (len(input_jacobians), *weights.shape))
+    gains, extra_gains, _ = riccati_gains(
+        state_jacobians,
+        input_jacobians,
+        weights=weights_by_tick,
+        effort=effort,
+        terminal=terminal,
+        extras=(effects, decay),
+    )
     names = extra_names(model.arms, estimator.augments)
     shares = np.array([name.startswith(("M", "S")) for name in names])
     shifted = partial(
-        _shifted, a, b, gains=gains, weights=_widened(closing_weights(settings, states, model), model), effort=effort,
-        terminal=terminal,
+        _shifted, state_jacobians, input_jacobians, gains=gains,
+        weights=_widened(closing_weights(settings, states, model), model), effort=effort, terminal=terminal,
     )  # fmt: skip
-    lasting = kept == 1
-    extra_gains[:, lasting], moved, pushed = shifted(e[:, :, lasting])
-    by_share = shares[lasting]
-    second = _of_second_order(
-        model, estimator, states, commands, moved=moved[:, :, by_share], pushed=pushed[:, by_share],
+    constant = decay == 1
+    extra_gains[:, constant], moved, pushed = shifted(effects[:, :, constant])
+    constant_shares = shares[constant]
+    pair_effects = _of_second_order(
+        model, estimator, states, commands, moved=moved[:, :, constant_shares], pushed=pushed[:, constant_shares],
         which=np.flatnonzero(shares),
     )  # fmt: skip
-    pair_gains = shifted(second)[0]
-    if not all(np.isfinite(found).all() for found in (gains, extra_gains, pair_gains)):
+    pair_gains = shifted(pair_effects)[0]
+    if not all(np.isfinite(gain_table).all() for gain_table in (gains, extra_gains, pair_gains)):
         raise GoalMissed(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
-    most = reference.limits.acceleration
+    limit = reference.limits.acceleration
     return AdaptiveController(
-        settings.kind, states, **_by_time(model, TickedMotion(states, commands, drive), gains, most),
+        settings.kind, states, **_by_time(model, TickedMotion(states, commands, drive), gains, limit),
         extra_gains=extra_gains, pair_gains=pair_gains, names=names, shares=shares, trust=settings.trust,
     )  # fmt: skip

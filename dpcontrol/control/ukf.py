@@ -39,10 +39,15 @@ class _Unscented(UnscentedKalmanFilter):
     move: Callable[[Array], Array]
 
     def compute_process_sigmas(self, dt: float, fx: Any = None, **fx_args: Any) -> None:
+        """Set the propagated sigma points (2(N+E)+1, N+E), in place of the base class's loop over `fx`.
+
+        `move` replaces `fx`, so the arguments are not used.
+        """
         points = self.points_fn.sigma_points(self.x, self.P)
         self.sigmas_f = self.move(np.ascontiguousarray(points.T)).T
 
     def cross_variance(self, x: Array, z: Array, sigmas_f: Array, sigmas_h: Array) -> Array:
+        """Return the covariance (N+E, m) between state and measurement from their sigma points, as one product."""
         return (sigmas_f - x).T @ (self.Wc[:, None] * (sigmas_h - z))
 
 
@@ -53,15 +58,22 @@ class Ukf(KalmanFilter):
     """
 
     def __init__(self, model: SampledModel, settings: UkfSettings, *, noise: Array) -> None:
+        """Prepare filterpy's filter, whose sigma points follow the compiled model.
+
+        Args:
+            model: model of arms and drive from tick to tick.
+            settings: settings of the filter.
+            noise: covariance (n+1, n+1) of the measured positions.
+        """
         super().__init__(model, settings, noise=noise)
         self.size = self.equations.dimension
         self._shares = self.equations.shares
         self._linear = Compiled(self.equations.prediction(with_jacobian=True))
         self._command = 0.0
         points = MerweScaledSigmaPoints(self.size, alpha=settings.spread, beta=settings.weight, kappa=0.0)
-        inner = _Unscented(self.size, model.arms + 1, model.period, hx=None, fx=None, points=points)
-        inner.move = lambda chosen: self.following(chosen, self._command)
-        self._points, self._inner = points, inner
+        unscented = _Unscented(self.size, model.arms + 1, model.period, hx=None, fx=None, points=points)
+        unscented.move = lambda sigma_points: self.following(sigma_points, self._command)
+        self._points, self._inner = points, unscented
 
     def following(self, points: Array, command: float) -> Array:
         """Return the next z of several points.
@@ -91,14 +103,21 @@ class Ukf(KalmanFilter):
         """
         variance = covariance.diagonal()[self._shares].mean() if self._shares else 0.0
         inputs = np.concatenate([z, [command], self.model.parameters, self.process, [variance, 0.0, 1.0]])
-        out, n = self._linear(inputs, np.empty(self._linear.size_out)), self.size
-        return out[:n], out[n : n + n * n].reshape(n, n).T, out[n + n * n :].reshape(n, n).T
+        results, n = self._linear(inputs, np.empty(self._linear.size_out)), self.size
+        return results[:n], results[n : n + n * n].reshape(n, n).T, results[n + n * n :].reshape(n, n).T
 
     def _begun(self, z: Array, covariance: Array) -> Estimate:
+        """See `KalmanFilter._begun`."""
         return self._estimate(z, covariance, np.zeros(self.model.arms + 1), float("nan"), 0)
 
     def _estimate(self, z: Array, covariance: Array, innovation: Array, nis: float, used: int) -> Estimate:
-        """Return the estimate of a sound state and covariance, or raise ArithmeticError."""
+        """Return the estimate z (N+E,) with a covariance (N+E, N+E), after a check that both are sound.
+
+        `innovation` (n+1,), `nis` and `used`: see `Estimate`; `used` is 0 without a measurement.
+
+        Raises:
+            ArithmeticError: they are no longer finite, or a variance is negative.
+        """
         n, variances = self.model.dimension, covariance.diagonal()
         if not (variances >= 0).all() or not np.isfinite(z).all() or (used and not 0 <= nis < np.inf):
             raise ArithmeticError("the filter's covariance is no longer positive, or its state no longer finite")
@@ -121,14 +140,16 @@ class Ukf(KalmanFilter):
         innovation = np.zeros(m)
         if not len(rows):
             return self._estimate(z, covariance, innovation, 0.0, 0)
-        h, r = self.equations.observation[rows], self.noise[np.ix_(rows, rows)]
+        observation, noise = self.equations.observation[rows], self.noise[np.ix_(rows, rows)]
         # Wrapped, because whole turns in a measured angle have no meaning.
-        away = measured[rows] - h @ z
-        turns = np.where(rows < m - 1, np.round(away / (2 * np.pi)), 0.0)
+        difference = measured[rows] - observation @ z
+        turns = np.where(rows < m - 1, np.round(difference / (2 * np.pi)), 0.0)
         with _arithmetic():
-            after, left, y, nis = self._updated(z, covariance, measured[rows] - 2 * np.pi * turns, h, r)
-        innovation[rows] = y
-        return self._estimate(after, left, innovation, nis, len(rows))
+            updated, updated_covariance, row_innovation, nis = self._updated(
+                z, covariance, measured[rows] - 2 * np.pi * turns, observation, noise
+            )
+        innovation[rows] = row_innovation
+        return self._estimate(updated, updated_covariance, innovation, nis, len(rows))
 
     def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after a period and a new measurement.
@@ -169,19 +190,31 @@ class Ukf(KalmanFilter):
         return estimate.memory[1]
 
     def _predicted(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array]:
-        """Return the state and covariance a period later."""
-        inner, self._command = self._inner, command
-        inner.x, inner.P = z, covariance
-        inner.Q = self.linearised(z, covariance, command)[2]
-        inner.predict()
-        return inner.x, inner.P
+        """Return z (N+E,) and its covariance a period later, before the next measurement.
+
+        `command`: acceleration of the cart in the period, m/s².
+        """
+        unscented, self._command = self._inner, command
+        unscented.x, unscented.P = z, covariance
+        unscented.Q = self.linearised(z, covariance, command)[2]
+        unscented.predict()
+        return unscented.x, unscented.P
 
     def _updated(
         self, z: Array, covariance: Array, measured: Array, observation: Array, noise: Array
     ) -> tuple[Array, Array, Array, float]:
-        """Return state, covariance, innovation and NIS after a measurement of these rows."""
-        inner = self._inner
-        inner.x, inner.P = z, covariance
-        inner.sigmas_f = self._points.sigma_points(z, covariance)
-        inner.update(measured, R=noise, hx=lambda point: observation @ point)
-        return inner.x, (inner.P + inner.P.T) / 2, inner.y, float(inner.y @ inner.SI @ inner.y)
+        """Return state (N+E,), covariance, innovation (m,) and NIS after a measurement of m of the positions.
+
+        `measured` (m,): positions, rad and m, with angles within half a turn of the prediction. `observation` (m, N+E),
+        `noise` (m, m): H and R of these positions.
+        """
+        unscented = self._inner
+        unscented.x, unscented.P = z, covariance
+        unscented.sigmas_f = self._points.sigma_points(z, covariance)
+        unscented.update(measured, R=noise, hx=lambda point: observation @ point)
+        return (
+            unscented.x,
+            (unscented.P + unscented.P.T) / 2,
+            unscented.y,
+            float(unscented.y @ unscented.SI @ unscented.y),
+        )

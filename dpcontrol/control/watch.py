@@ -115,7 +115,7 @@ class SensorWatch:
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
-        """The joints between two measured arms, or the inner joint of a measured arm."""
+        """Joints between two measured arms, by number, and the inner joint if its arm is measured."""
         return tuple(i for i in range(self.arms) if all(self.measured[max(i - 1, 0) : i + 1]))
 
     @cached_property
@@ -124,7 +124,7 @@ class SensorWatch:
         return DriveWatch(self.arms, self.period, (*self.measured[: self.arms], False).index(False))
 
     def _fresh(self, known: Known) -> ca.SX:
-        """True if all positions that have a sensor were read."""
+        """Return 1 if all positions that have a sensor were read in this tick; the watch ignores other ticks."""
         return all_of(*(known.reading.present[i] for i, measured in enumerate(self.measured) if measured))
 
     def start(self, velocity: float, rates: Array) -> dict[str, Any]:
@@ -147,6 +147,9 @@ class SensorWatch:
     def stuck(self, known: Known, nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, Memory]:
         """Return the number of the first stuck sensor, from 1 or 0, and the memory after the reading.
 
+        A joint's sensor is stuck if its reading is constant although the reference moved, and if the filter contradicts
+        it. In addition, the filter had to correct the joint's model, or the pause is too long for a reversal.
+
         Args:
             known: parts of the tick's inputs.
             nis: mean NIS per position.
@@ -158,11 +161,11 @@ class SensorWatch:
         after: dict[str, list[ca.SX]] = {
             name: [] for name in ("last", "step", "same", "begin", "away", "pulled", "strained", "held_back")
         }
-        found: list[ca.SX] = []
+        stuck_flags: list[ca.SX] = []
         for i in range(n + 1):
             arm = i < n
             if arm and i not in self.joints:
-                found.append(ca.SX(0))
+                stuck_flags.append(ca.SX(0))
                 for name, values_of in after.items():
                     values_of.append(getattr(m, name)[i])
                 continue
@@ -177,71 +180,78 @@ class SensorWatch:
             values = {"last": ca.if_else(same, m.last[i], value), "step": smallest, "same": count}
             if not arm:
                 frozen, scale = self._frozen_scale(m, c, value, count, smallest)
-                after |= {name: [ca.if_else(fresh, now, getattr(m, name))] for name, now in scale.items()}
-                found.append(ca.logic_and(fresh, frozen))
+                after |= {name: [ca.if_else(fresh, new_value, getattr(m, name))] for name, new_value in scale.items()}
+                stuck_flags.append(ca.logic_and(fresh, frozen))
             else:
-                should = wanted[i] - (wanted[i - 1] if i else 0)
-                begin = ca.if_else(same, m.begin[i], should)
-                away = ca.if_else(same, ca.fmax(m.away[i], ca.fabs(should - begin)), 0)
-                q = ca.if_else(smallest <= BIG, smallest, _UNSEEN / _COUNTS)
-                longest = ca.fmax(2 * ca.sqrt(2 * q / _TURNING), _STILL) / period
-                pulled, strained, held = m.pulled[i], m.strained[i], m.held_back[i]
-                evident = count >= _LONG * longest
+                expected = wanted[i] - (wanted[i - 1] if i else 0)
+                begin = ca.if_else(same, m.begin[i], expected)
+                away = ca.if_else(same, ca.fmax(m.away[i], ca.fabs(expected - begin)), 0)
+                count_size = ca.if_else(smallest <= BIG, smallest, _UNSEEN / _COUNTS)
+                longest = ca.fmax(2 * ca.sqrt(2 * count_size / _TURNING), _STILL) / period
+                pulled, strained, held_back = m.pulled[i], m.strained[i], m.held_back[i]
+                evidence = count >= _LONG * longest
                 if taken is not None:
                     turned, braked = (taken[k] - (taken[k - 1] if i else 0) for k in (i, n + i))
-                    on = ca.logic_and(same, ca.logic_not(m.restart))
-                    pulled, strained = ca.if_else(on, pulled + braked, 0), ca.if_else(on, strained + ca.fabs(braked), 0)
-                    held = ca.if_else(on, held + pulled * period + turned, 0)
+                    counts = ca.logic_and(same, ca.logic_not(m.restart))
+                    pulled, strained = (
+                        ca.if_else(counts, pulled + braked, 0),
+                        ca.if_else(counts, strained + ca.fabs(braked), 0),
+                    )
+                    held_back = ca.if_else(counts, held_back + pulled * period + turned, 0)
                     # An oscillating filter gives no evidence.
                     steady = ca.fabs(pulled) >= strained / 2
-                    far = ca.fabs(held) >= ca.fmax(_JOINT_HELD, _COUNTS_HELD * q)
-                    evident = any_of(evident, ca.logic_and(steady, far))
-                values |= {"begin": begin, "away": away, "pulled": pulled, "strained": strained, "held_back": held}
-                moved = [away >= _JOINT_MOVED, away >= _COUNTS * q, count >= longest]
-                found.append(all_of(fresh, *moved, ca.logic_not(nis <= _DOUBT), evident))
-            for name, now in values.items():
-                after[name].append(ca.if_else(fresh, now, getattr(m, name)[i]))
+                    large = ca.fabs(held_back) >= ca.fmax(_JOINT_HELD, _COUNTS_HELD * count_size)
+                    evidence = any_of(evidence, ca.logic_and(steady, large))
+                values |= {"begin": begin, "away": away, "pulled": pulled, "strained": strained, "held_back": held_back}
+                moved = [away >= _JOINT_MOVED, away >= _COUNTS * count_size, count >= longest]
+                stuck_flags.append(all_of(fresh, *moved, ca.logic_not(nis <= _DOUBT), evidence))
+            for name, new_value in values.items():
+                after[name].append(ca.if_else(fresh, new_value, getattr(m, name)[i]))
         sensor = ca.SX(0)
         for i in reversed(range(n + 1)):
-            sensor = ca.if_else(found[i], i + 1, sensor)
+            sensor = ca.if_else(stuck_flags[i], i + 1, sensor)
         return sensor, m._replace(**{name: ca.vertcat(*values) for name, values in after.items()})
 
     def _frozen_scale(
         self, m: Memory, c: Numbers, value: ca.SX, count: ca.SX, smallest: ca.SX
     ) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """True if the cart's scale has frozen.
+        """Return 1 if the cart's scale has frozen, and the changed parts of the memory.
 
-        The second result is the cart by scale and commands after a reading.
+        They are the filter of scale and commands in the module's text. It runs beside the tick's filter, which a stuck
+        scale misleads.
 
-        value m: the reading. count: number of equal readings before it. smallest m: smallest step so far.
+        `m`, `c`: memory and constants of the tick. `value` m: the reading. `count`: number of equal readings before it.
+        `smallest` m: smallest step so far.
         """
         period = self.period
         first = ca.logic_not(finite(m.last[self.arms]))
         waited = ca.if_else(first, 0, m.scale_waited + 1)
         due = waited * period >= _SCALE_CHECK - period / 2
         constant = count >= waited
-        q = ca.fmax(ca.if_else(smallest <= BIG, smallest, _SCALE_UNSEEN), c.scale)
-        rounding = q**2 / 12 + _SCALE_ERROR**2
+        count_size = ca.fmax(ca.if_else(smallest <= BIG, smallest, _SCALE_UNSEEN), c.scale)
+        rounding = count_size**2 / 12 + _SCALE_ERROR**2
         state, covariance = m.scale[:, :], unpack(m.scale_covariance, m.scale.shape[0])
         state[0] = ca.if_else(first, 0, state[0])
-        apart = value - m.scale_read - state[0]
-        beyond = ca.fmax(ca.fabs(apart) - q, 0)
-        surprise = beyond**2 / (covariance[0, 0] + rounding)
+        innovation = value - m.scale_read - state[0]
+        excess = ca.fmax(ca.fabs(innovation) - count_size, 0)
+        surprise = excess**2 / (covariance[0, 0] + rounding)
         # A constant reading does not move the prediction within a count.
-        wrong = ca.if_else(constant, ca.if_else(apart < 0, -beyond, beyond), apart)
-        noise = rounding + ca.if_else(ca.logic_and(constant, beyond <= 0), q**2, 0)
+        correction = ca.if_else(constant, ca.if_else(innovation < 0, -excess, excess), innovation)
+        noise = rounding + ca.if_else(ca.logic_and(constant, excess <= 0), count_size**2, 0)
         gain = covariance[:, 0] / (covariance[0, 0] + noise)
-        corrected = state + gain * wrong
+        corrected = state + gain * correction
+        # The position is that since the last comparison.
         corrected[0] -= value - m.scale_read
         level = ca.fmax(m.scale_level * (1 - _SCALE_CHECK / _SURPRISE_MEMORY), _SURPRISE * m.scale_surprise)
+        # A step of the reading proves a working scale, so the evidence begins again.
         evidence = ca.if_else(count > 0, m.evidence, 0)
-        more = ca.fmax(evidence + surprise / m.scale_level - _SCALE_OFFSET, 0)
-        evidence = ca.if_else(ca.logic_and(due, constant), more, evidence)
-        stepped, again = ca.logic_and(due, ca.logic_not(constant)), ca.logic_or(first, due)
-        after = {
+        grown = ca.fmax(evidence + surprise / m.scale_level - _SCALE_OFFSET, 0)
+        evidence = ca.if_else(ca.logic_and(due, constant), grown, evidence)
+        stepped, restarts = ca.logic_and(due, ca.logic_not(constant)), ca.logic_or(first, due)
+        changes = {
             "scale": ca.vertcat(*(ca.if_else(due, corrected[i], state[i]) for i in range(state.shape[0]))),
             "scale_covariance": ca.if_else(due, pack(covariance - gain @ covariance[0, :]), m.scale_covariance),
-            "scale_read": ca.if_else(again, value, m.scale_read),
+            "scale_read": ca.if_else(restarts, value, m.scale_read),
             "scale_waited": ca.if_else(due, 0, waited),
             # The reading may stop between two comparisons, so a surprise counts from the next step.
             "scale_level": ca.if_else(stepped, ca.fmax(level, 1), m.scale_level),
@@ -251,40 +261,43 @@ class SensorWatch:
         # The filter also explains a constant reading by a drive without response.
         idle = state[2] + _IDLE_SIGMAS * ca.sqrt(covariance[2, 2]) <= _IDLE_RESPONSE
         contradicts = ca.logic_or(evidence >= _SCALE_STUCK, ca.logic_and(idle, ca.logic_not(smallest <= BIG)))
-        return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), after
+        return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), changes
 
     def unfollowed(self, known: Known, stuck: tuple[ca.SX, Memory]) -> tuple[ca.SX, ca.SX, Memory]:
         """Return the outcome of a drive that the cart does not follow, or 0, with the results of `stuck` after it.
 
+        The cause is a stuck scale, not the drive, if the arms move by the commands.
+
         Args:
             known: parts of the tick's inputs.
-            e: the filter's update.
             stuck: results of `stuck`.
         """
-        m, c, n, (sensor, watch), period = known.memory, known.numbers, self.arms, stuck, self.period
-        v, step = known.sensed.z[2 * n + 1], watch.step[n]
-        v = ca.if_else(finite(v), v, 0)
-        moved = [ca.if_else(finite(m.last[i]), watch.last[i] - m.last[i], 0) for i in range(n + 1)]
+        tick_memory, constants, n, (sensor, watch), period = known.memory, known.numbers, self.arms, stuck, self.period
+        velocity, step = known.sensed.z[2 * n + 1], watch.step[n]
+        velocity = ca.if_else(finite(velocity), velocity, 0)
+        moved = [ca.if_else(finite(tick_memory.last[i]), watch.last[i] - tick_memory.last[i], 0) for i in range(n + 1)]
         moved = ca.vertcat(ca.DM(np.tril(np.ones((n, n)))) @ ca.vertcat(*moved[:n]), moved[n])
-        count = ca.fmax(ca.if_else(step <= BIG, step, 0), c.scale)
+        count = ca.fmax(ca.if_else(step <= BIG, step, 0), constants.scale)
         # The accelerations of a drive near its greatest velocity are not known.
-        limited = ca.fabs(v) >= _LIMITED * c.velocity
-        variance = ca.if_else(limited, BIG, c.noise[-1] + known.sensed.timing * v**2)
-        visible = self.drive.visible(count, variance, ca.fmax(c.drive_noise, _COMMAND_NOISE))
-        cart = CartReading(self._fresh(known), watch.same[n] > 0, moved, known.reading.age * v, visible)
-        memory = self.drive.update(m.drive_watch, cart)
-        found = self.drive.memory.of(memory)
-        unfollowed = found.lasts >= self.drive.longest - period / 2
+        limited = ca.fabs(velocity) >= _LIMITED * constants.velocity
+        variance = ca.if_else(limited, BIG, constants.noise[-1] + known.sensed.timing * velocity**2)
+        visible = self.drive.visible(count, variance, ca.fmax(constants.drive_noise, _COMMAND_NOISE))
+        cart = CartReading(self._fresh(known), watch.same[n] > 0, moved, known.reading.age * velocity, visible)
+        memory = self.drive.update(tick_memory.drive_watch, cart)
+        drive_watch = self.drive.memory.of(memory)
+        unfollowed = drive_watch.lasts >= self.drive.longest - period / 2
         # Arms that move by the commands contradict a constant reading of the scale, not the drive.
-        constant = watch.same[n] * period >= found.lasts - period / 2
-        by_scale = all_of(unfollowed, constant, found.doubt > 0)
-        by_drive = any_of(all_of(unfollowed, ca.logic_not(by_scale)), all_of(ca.eq(sensor, n + 1), found.doubt < 0))
-        outcome = ca.if_else(found.against < 0, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
-        sensor = ca.if_else(by_drive, 0, ca.if_else(by_scale, n + 1, sensor))
-        return ca.if_else(by_drive, outcome, 0), sensor, watch._replace(drive_watch=memory)
+        constant = watch.same[n] * period >= drive_watch.lasts - period / 2
+        scale_stuck = all_of(unfollowed, constant, drive_watch.doubt > 0)
+        drive_fails = any_of(
+            all_of(unfollowed, ca.logic_not(scale_stuck)), all_of(ca.eq(sensor, n + 1), drive_watch.doubt < 0)
+        )
+        outcome = ca.if_else(drive_watch.against < 0, int(Outcome.DRIVE_REVERSED), int(Outcome.DRIVE_OFF))
+        sensor = ca.if_else(drive_fails, 0, ca.if_else(scale_stuck, n + 1, sensor))
+        return ca.if_else(drive_fails, outcome, 0), sensor, watch._replace(drive_watch=memory)
 
     def expected_cart(self, watch: Memory, c: Numbers, acting: ca.SX) -> Memory:
-        """Return the memory with the cart by scale and commands a period later.
+        """Return the memory with the filter of scale and commands predicted over a period (see `_frozen_scale`).
 
         Args:
             watch: memory after the reading.
@@ -293,30 +306,33 @@ class SensorWatch:
         """
         period, state = self.period, watch.scale
         covariance = unpack(watch.scale_covariance, state.shape[0])
-        moves = ca.SX.eye(state.shape[0])
-        moves[0, 1:] = ca.horzcat(period, acting * period**2 / 2, -acting * period)
-        moves[1, 2] = acting * period
-        noise = ca.SX(*moves.shape)
-        each = ca.fmax(c.drive_noise, _COMMAND_NOISE) ** 2 * period
-        noise[0, 0], noise[1, 1] = each * period**3 / 3, each * period
-        noise[0, 1] = noise[1, 0] = each * period**2 / 2
+        transition = ca.SX.eye(state.shape[0])
+        transition[0, 1:] = ca.horzcat(period, acting * period**2 / 2, -acting * period)
+        transition[1, 2] = acting * period
+        noise = ca.SX(*transition.shape)
+        command_variance = ca.fmax(c.drive_noise, _COMMAND_NOISE) ** 2 * period
+        noise[0, 0], noise[1, 1] = command_variance * period**3 / 3, command_variance * period
+        noise[0, 1] = noise[1, 0] = command_variance * period**2 / 2
         # Without motion, the knowledge of the drive fades to that of the start.
         for i, (sigma, drift) in enumerate(((_RESPONSE, _RESPONSE_DRIFT), (_LAG, _LAG_DRIFT)), start=2):
             noise[i, i] = ca.if_else(covariance[i, i] < sigma**2, drift**2 * period, 0)
-        return watch._replace(scale=moves @ state, scale_covariance=pack(moves @ covariance @ moves.T + noise))
+        return watch._replace(
+            scale=transition @ state, scale_covariance=pack(transition @ covariance @ transition.T + noise)
+        )
 
     def expected_arms(self, known: Known, watch: ca.SX, acting: ca.SX) -> ca.SX:
-        """Return the memory of the drive's watch a period later.
+        """Return the memory of the drive's watch a period later, from the modelled motion of the arms.
 
         Estimated parameters and errors of the drive adapt to a stuck scale, so they are not used.
 
         Args:
             known: parts of the tick's inputs.
-            e: the filter's update.
             watch: memory of the drive's watch.
             acting: acceleration in the period, m/s².
         """
         n, rate, size = self.arms, self.equations.function(), self.equations.dimension
         state = ca.vertcat(*(ca.if_else(finite(value), value, 0) for value in ca.vertsplit(known.sensed.z[:size])))
-        swing, free = (rate(state, a, known.numbers.parameters)[n : 2 * n] for a in (acting, 0))
-        return self.drive.predict(watch, acting, swing, swing - free)
+        arm_accelerations, without_command = (
+            rate(state, acceleration, known.numbers.parameters)[n : 2 * n] for acceleration in (acting, 0)
+        )
+        return self.drive.predict(watch, acting, arm_accelerations, arm_accelerations - without_command)

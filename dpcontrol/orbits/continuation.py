@@ -69,7 +69,7 @@ class Newton:
     stride: float = np.inf
 
     def solve(self, equations: Function, guess: Array, bounds: Bounds, units: Array | float = 1.0) -> Solution:
-        """Return the best unknowns.
+        """Return the unknowns with the smallest residual that Newton's method finds.
 
         One of the equations may be redundant.
 
@@ -83,15 +83,15 @@ class Newton:
         best, unknowns, reach = Solution(guess, np.inf, np.zeros_like(guess)), guess, (high - low) / 2
         for _ in range(self.iterations):
             try:
-                value, jacobian = equations(unknowns)
-                right = np.column_stack([value, np.append(np.zeros(len(value) - 1), 1.0)])
-                if len(value) == len(guess):
-                    step, slope = np.linalg.solve(jacobian, right).T
+                residuals, jacobian = equations(unknowns)
+                right_sides = np.column_stack([residuals, np.append(np.zeros(len(residuals) - 1), 1.0)])
+                if len(residuals) == len(guess):
+                    step, slope = np.linalg.solve(jacobian, right_sides).T
                 else:
-                    step, slope = np.linalg.lstsq(jacobian, right, rcond=1e-13)[0].T
+                    step, slope = np.linalg.lstsq(jacobian, right_sides, rcond=1e-13)[0].T
             except UNSOLVED:
                 break
-            residual = float(np.max(np.abs(value) * units))
+            residual = float(np.max(np.abs(residuals) * units))
             if residual < best.residual:
                 best = Solution(unknowns, residual, slope)
             elif best.residual < self.tolerance:
@@ -110,7 +110,7 @@ TO_ROUNDING = Newton(12, 1e-12)
 
 
 def bordered(equations: Function, row: Callable[[Array], tuple[float, Array]]) -> Function:
-    """Return equations with another one at their end.
+    """Return equations with another one at their end, which selects one solution of a curve.
 
     Args:
         equations: residual (m,) and Jacobian (m, k).
@@ -118,6 +118,7 @@ def bordered(equations: Function, row: Callable[[Array], tuple[float, Array]]) -
     """
 
     def both(unknowns: Array) -> tuple[Array, Array]:
+        """Return the residual (m + 1,) and Jacobian (m + 1, k) with the added equation as the last row."""
         (value, jacobian), (last, gradient) = equations(unknowns), row(unknowns)
         return np.append(value, last), np.vstack([jacobian, gradient])
 
@@ -125,14 +126,14 @@ def bordered(equations: Function, row: Callable[[Array], tuple[float, Array]]) -
 
 
 def differenced(function: Callable[[Array], Array], at: Array, steps: Array) -> Array:
-    """Return the Jacobian (m, k) of a function by central differences.
+    """Return the Jacobian (m, k) of a function without derivatives, by central differences.
 
     Args:
         function: function of unknowns (k,).
         at: unknowns (k,).
         steps: step of each unknown (k,).
     """
-    return np.column_stack([(function(at + h) - function(at - h)) / (2 * h.max()) for h in np.diag(steps)])
+    return np.column_stack([(function(at + step) - function(at - step)) / (2 * step.max()) for step in np.diag(steps)])
 
 
 class Problem(Protocol):
@@ -179,7 +180,7 @@ class CurvePoint(Brief):
     measures: Mapping[str, float]
 
     def reversed(self) -> "CurvePoint":
-        """Return the point with the opposite tangent."""
+        """Return the point with the opposite tangent, from which the curve is followed the other way."""
         measures = {**self.measures, SLOPE: -self.measures[SLOPE]}
         return replace(self, tangent=-self.tangent, measures=measures)
 
@@ -218,7 +219,7 @@ class Curve(Brief):
         return CurvePoint(unknowns, tangent, value, residual, {**self.measure(unknowns), SLOPE: slope})
 
     def onto(self, guess: Array, normal: Array) -> Solution:
-        """Return the solution on a plane.
+        """Return the curve's solution on a plane, the corrector of each step along the curve.
 
         Args:
             guess: point (k,) of the plane.
@@ -226,13 +227,14 @@ class Curve(Brief):
         """
 
         def row(unknowns: Array) -> tuple[float, Array]:
+            """Return the signed distance from the plane, and its gradient (k,)."""
             return float(normal @ ((unknowns - guess) / self.weights)), normal / self.weights
 
         equations = bordered(self.problem.near(guess), row)
         return self.newton.solve(equations, guess, self.problem.bounds(guess), self.problem.units)
 
     def at(self, guess: CurvePoint, value: float) -> CurvePoint | None:
-        """Return the point at a value of the followed quantity, None if Newton's method fails.
+        """Return the point at a value of the followed quantity, such as an energy bound; None if Newton's method fails.
 
         Args:
             guess: point nearby.
@@ -244,7 +246,7 @@ class Curve(Brief):
         return replace(self.point(solution.unknowns, guess.tangent, solution.residual), value=value)
 
     def step(self, start: CurvePoint, length: float) -> CurvePoint | None:
-        """Return the next point, None if Newton's method fails.
+        """Return the point at a distance along the curve, or None if Newton's method fails or leaves the curve.
 
         Args:
             start: point of the curve.
@@ -294,7 +296,7 @@ class Curve(Brief):
             point, length = following, min(step, growth * length)
 
     def located(self, start: CurvePoint, length: float, value: Callable[[CurvePoint], float]) -> CurvePoint | None:
-        """Return the zero of a function on the curve, or None.
+        """Return the point of a curve at which a function, such as a test for bifurcations, is zero, or None.
 
         Args:
             start: point of the curve.
@@ -305,6 +307,7 @@ class Curve(Brief):
         from scipy.optimize import brentq
 
         def at(h: float) -> float:
+            """Return the function's value at a distance along the tangent from the start."""
             point = start if h == 0 else self.step(start, h)
             if point is None:
                 raise ArithmeticError("no longer on the curve")
@@ -327,6 +330,7 @@ def member(problem: Problem, guess: Array, value: float, newton: Newton) -> Solu
     """
 
     def row(unknowns: Array) -> tuple[float, Array]:
+        """Return the quantity's difference from the value, in units of its scale, and its gradient (k,)."""
         quantity, gradient = problem.quantity(unknowns)
         return (quantity - value) / problem.scale, gradient / problem.scale
 
@@ -361,11 +365,11 @@ def stepped(
     while value != goal:
         # A final step at rounding level would be too short for the test of the correction.
         target = goal if abs(goal - value) <= (1 + 1e-6) * step else value + np.copysign(step, goal - value)
-        arrived = following(solution, value, float(target))
-        if arrived is None:
+        next_solution = following(solution, value, float(target))
+        if next_solution is None:
             step = abs(target - value) / 2
             if step < smallest:
                 break
             continue
-        solution, value, step = arrived, float(target), min(longest, 1.5 * step)
+        solution, value, step = next_solution, float(target), min(longest, 1.5 * step)
     return solution, value

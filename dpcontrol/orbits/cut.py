@@ -74,7 +74,7 @@ class CutSettings:
 
 
 def longest_flight(manifold: UnstableManifold, settings: CutSettings) -> float:
-    """Return the longest flight time in periods of the orbit.
+    """Return the longest flight time to a section, in periods of the orbit.
 
     Args:
         manifold: manifold whose tube is cut.
@@ -84,7 +84,7 @@ def longest_flight(manifold: UnstableManifold, settings: CutSettings) -> float:
 
 
 def section_points(system: System, section: Section, states: Array) -> Array:
-    """Return the coordinates (q, p/p₀) (…, 2) of states.
+    """Return the coordinates (q, p/p₀) (…, 2) of states on a section, in which cuts are curves.
 
     Args:
         system: system of the states.
@@ -121,11 +121,12 @@ class CutSamples(Brief):
         return len(self.phases)
 
     def __getitem__(self, which: Any) -> "CutSamples":
+        """Return the samples at these indices or with this mask."""
         return CutSamples(*(getattr(self, entry.name)[which] for entry in fields(self)))
 
     @staticmethod
     def joined(parts: "Sequence[CutSamples]") -> "CutSamples":
-        """Concatenate samples in order.
+        """Return the samples of several parts as one, in order.
 
         Args:
             parts: samples of one branch.
@@ -139,7 +140,7 @@ class CutSamples(Brief):
         return np.isfinite(self.times)
 
     def continuous(self, limit: float) -> Flags:
-        """Return True (K - 1,) for neighbours on one curve.
+        """Return True (K - 1,) for neighbours on one curve: they cross in the same direction, and their chord is short.
 
         Args:
             limit: largest distance of neighbours in (q, p/p₀).
@@ -151,7 +152,7 @@ class CutSamples(Brief):
 def arrivals(
     manifold: UnstableManifold, section: Section, phases: Array, *, hit: int, branch: int, longest: float
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Propagate the seeds of a manifold at given phases to a section.
+    """Return the states and times at which trajectories from a manifold's seeds reach a section.
 
     Args:
         manifold: manifold of the seeds.
@@ -191,7 +192,7 @@ class Sampler(Brief):
         return longest_flight(self.manifold, self.settings)
 
     def fly(self, phases: Array) -> CutSamples:
-        """Propagate the seeds at given phases together.
+        """Return the section crossings of the seeds at given phases, which are propagated together.
 
         Args:
             phases: phases (K,) of the orbit, 1 for a period.
@@ -209,14 +210,14 @@ class Sampler(Brief):
         )
 
     def arrives_later(self, phases: Array) -> bool:
-        """Return True if some of the phases arrive within twice the time.
+        """Return True if some of the phases arrive within twice the time, so that a longer search would find more.
 
         Args:
             phases: phases (K,) of the orbit, 1 for a period.
         """
         patience = 2 * max(self.longest, self.manifold.orbit.system.flight_periods)
-        patient = replace(self, settings=replace(self.settings, longest=patience))
-        return bool(patient.fly(_some(phases)).arrived.any())
+        longer_sampler = replace(self, settings=replace(self.settings, longest=patience))
+        return bool(longer_sampler.fly(_some(phases)).arrived.any())
 
     def departs(self, phases: Array) -> bool:
         """Return True if all trajectories leave for ever.
@@ -236,19 +237,19 @@ class Sampler(Brief):
         return True
 
     def _moves_away(self, states: Array) -> bool:
-        """Return True if a coordinate that is no angle changes steadily.
+        """Return True if the trajectory leaves steadily along a coordinate that is no angle, so that it cannot return.
 
-        Over states (K, N), it also changes by many times the size of the orbit.
+        Over states (K, N), the coordinate's rate is constant, and its change is many times the size of the orbit.
         """
         system = self.manifold.orbit.system
-        rates, lines = system.numeric.rate(states), np.flatnonzero(~np.isfinite(system.periods))
-        steady = np.ptp(rates[:, lines], axis=0) <= _STEADY * np.abs(rates[-1, lines])
+        rates, line_coordinates = system.numeric.rate(states), np.flatnonzero(~np.isfinite(system.periods))
+        steady = np.ptp(rates[:, line_coordinates], axis=0) <= _STEADY * np.abs(rates[-1, line_coordinates])
         size = float((np.ptp(self.manifold.frame(np.arange(8) / 8).states, axis=0) / system.scale).max())
-        return bool((steady & (np.abs(states[-1] - states[0]) / system.scale > _AWAY * size)[lines]).any())
+        return bool((steady & (np.abs(states[-1] - states[0]) / system.scale > _AWAY * size)[line_coordinates]).any())
 
 
 def _some(phases: Array) -> Array:
-    """Return up to `_TRIED` evenly spaced samples of the phases."""
+    """Return up to `_TRIED` evenly spaced samples of the phases (K,), enough to examine an open end."""
     return phases[np.unique(np.linspace(0, len(phases) - 1, _TRIED).round().astype(int))]
 
 
@@ -274,7 +275,7 @@ class UnresolvedBranch(Concluded):
 def refined(
     sampler: Sampler, start: float, *, progress: Progress = no_progress
 ) -> tuple[CutSamples, UnresolvedBranch | None]:
-    """Sample one period and bisect phase steps until all chords are short.
+    """Return the samples of one period of phases, bisected until all chords are short.
 
     Args:
         sampler: branch, section and settings.
@@ -288,7 +289,7 @@ def refined(
     budget = sampler.budget.part(settings.seconds)
 
     def flown(phases: Array) -> CutSamples:
-        """Return as many samples, in order, as time permits."""
+        """Return the samples at the phases (K,), in order, or as many as time permits."""
         parts: list[CutSamples] = []
         for first in range(0, len(phases), _AT_ONCE):
             if parts and budget.spent:
@@ -298,12 +299,13 @@ def refined(
         return CutSamples.joined(parts)
 
     # A coarse sampling of the whole period comes first, in case time runs out.
-    number = np.arange(settings.first_phases + 1)
-    coarse = (number % (settings.first_phases // _AT_ONCE + 1) == 0) | (number == number[-1])
-    samples = flown(start + np.concatenate([number[coarse], number[~coarse]]) / settings.first_phases)
+    numbers = np.arange(settings.first_phases + 1)
+    coarse = (numbers % (settings.first_phases // _AT_ONCE + 1) == 0) | (numbers == numbers[-1])
+    samples = flown(start + np.concatenate([numbers[coarse], numbers[~coarse]]) / settings.first_phases)
     samples = samples[np.argsort(samples.phases, kind="stable")]
     while len(samples) < settings.most_points and not budget.spent:
         phases, arrived, steps = samples.phases, samples.arrived, np.diff(samples.phases)
+        # A chord is wide between neighbours of which only one arrives, or which are not on one curve.
         wide = (arrived[:-1] | arrived[1:]) & (steps > settings.smallest_phase_step)
         wide &= ~samples.continuous(sampler.chord)
         if not wide.any():
@@ -412,10 +414,15 @@ class Cut(Shown, Documented, Concluded):
 
 
 def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
-    """Return the open end at a jump or between failed phases."""
+    """Return the open end of a cut, with its cause, at a jump between two arrivals or between phases without arrival.
+
+    `samples`: the two arrivals, or all trajectories of the gap. `grazing`: rate along the section's normal below which
+    a crossing grazes.
+    """
     interval = (float(samples.phases[0] % 1), float(samples.phases[-1] % 1))
 
     def end(cause: OpenEndCause, *, hides: bool, later: bool = False) -> OpenEnd:
+        """Return the open end of this interval with a cause."""
         return OpenEnd(sampler.branch, interval, cause, hides, later, sampler, samples)
 
     if samples.arrived[0]:
@@ -431,11 +438,11 @@ def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
 
 
 def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[OpenEnd]]:
-    """Split refined samples into connected pieces and the gaps between them."""
-    arrived, joins = samples.arrived, samples.continuous(sampler.chord)
+    """Return the connected pieces of a branch's cut, and the open ends between them, from refined samples."""
+    arrived, connected = samples.arrived, samples.continuous(sampler.chord)
     grazing = sampler.settings.grazing * float(np.abs(samples.rates[arrived]).max(initial=0.0))
     # Stretches are parts of one curve, or of phases that never arrive.
-    breaks = np.flatnonzero(~joins & (arrived[1:] | arrived[:-1])) + 1
+    breaks = np.flatnonzero(~connected & (arrived[1:] | arrived[:-1])) + 1
     stretches = np.split(np.arange(len(samples)), breaks)
     gaps: list[OpenEnd] = []
     for k, stretch in enumerate(stretches):
@@ -446,12 +453,12 @@ def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[Op
     runs = [samples[stretch] for stretch in stretches if arrived[stretch[0]] and len(stretch) > 1]
     # If the orbit crosses the section, its seeds gain a crossing there, and the phases do not form a circle.
     circle = not sampler.manifold.orbit.laps
-    closed = circle and bool(joins.all())
+    closed = circle and bool(connected.all())
     if circle and not closed and len(runs) > 1:
         # Phases are a circle: the last run continues into the first.
-        head, tail = runs[0], runs[-1]
-        if head.phases[0] == samples.phases[0] and tail.phases[-1] == samples.phases[-1]:
-            runs = [*runs[1:-1], CutSamples.joined([tail, replace(head, phases=head.phases + 1)[1:]])]
+        first_run, last_run = runs[0], runs[-1]
+        if first_run.phases[0] == samples.phases[0] and last_run.phases[-1] == samples.phases[-1]:
+            runs = [*runs[1:-1], CutSamples.joined([last_run, replace(first_run, phases=first_run.phases + 1)[1:]])]
     pieces = [
         Piece(sampler.branch, run.phases, run.points, run.states, run.times, int(np.sign(run.rates[0])), closed)
         for run in runs
@@ -460,7 +467,7 @@ def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[Op
 
 
 def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Piece:
-    """Return the other branch's piece, by the symmetry S about the saddle."""
+    """Return the other branch's piece without integration, by the symmetry S of `UnstableManifold.half_turn`."""
     assert manifold.half_turn is not None
     system, centre = manifold.orbit.system, manifold.orbit.centre
     symmetry = manifold.half_turn[0]
@@ -486,7 +493,7 @@ def tube_cut(
     budget: Budget | None = None,
     progress: Progress = no_progress,
 ) -> Cut:
-    """Cut both branches of an unstable tube at a section.
+    """Return the cut of both branches of an unstable tube at a section, with its open ends.
 
     Args:
         manifold: local manifold of the orbit.
@@ -500,26 +507,31 @@ def tube_cut(
     pieces: list[Piece] = []
     gaps: list[OpenEnd] = []
     unresolved: list[UnresolvedBranch] = []
-    trajectories, late = 0, False
+    trajectories, time_ran_out = 0, False
     branches = (1,) if manifold.branches_are_mirrored else (1, -1)
     for k, branch in enumerate(branches):
         # Each branch gets half of the time, less a reserve for open ends.
-        allowed = budget.until(0.9 * (k + 1) / len(branches))
-        within = part_of(progress, k / len(branches), (k + 1) / len(branches))
-        samples, stopped = refined(Sampler(manifold, section, hit, branch, settings, allowed), 0.0, progress=within)
+        sampling_budget = budget.until(0.9 * (k + 1) / len(branches))
+        branch_progress = part_of(progress, k / len(branches), (k + 1) / len(branches))
+        samples, early_stop = refined(
+            Sampler(manifold, section, hit, branch, settings, sampling_budget), 0.0, progress=branch_progress
+        )
+        # Open ends are examined with the time that is left in all.
         sampler = Sampler(manifold, section, hit, branch, settings, budget)
-        unresolved += [] if stopped is None else [stopped]
+        unresolved += [] if early_stop is None else [early_stop]
         trajectories += len(samples)
         branch_pieces, open_ends = _pieces(samples, sampler)
         pieces += branch_pieces
         gaps += open_ends
-        out_of_time = stopped is not None and stopped.cause is BranchCause.TIME
-        late = late or out_of_time or (budget.spent and any(end.hides for end in open_ends))
+        out_of_time = early_stop is not None and early_stop.cause is BranchCause.TIME
+        time_ran_out = time_ran_out or out_of_time or (budget.spent and any(end.hides for end in open_ends))
         if manifold.branches_are_mirrored:
             pieces += [_mirrored(manifold, section, piece) for piece in branch_pieces]
             gaps += [
-                replace(g, branch=-g.branch, phase_interval=tuple((p + 0.5) % 1 for p in g.phase_interval))
-                for g in open_ends
+                replace(
+                    gap, branch=-gap.branch, phase_interval=tuple((phase + 0.5) % 1 for phase in gap.phase_interval)
+                )
+                for gap in open_ends
             ]
     return Cut(
         section,
@@ -530,5 +542,5 @@ def tube_cut(
         settings.chord,
         longest_flight(manifold, settings),
         unresolved=tuple(unresolved),
-        spent=late,
+        spent=time_ran_out,
     )

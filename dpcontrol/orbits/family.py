@@ -140,7 +140,7 @@ def follow(
     born: bool = False,
     progress: Progress = no_progress,
 ) -> Followed:
-    """Follow a family from a point until it leaves the energy bounds.
+    """Return the points and events of a family's curve from a point until it leaves the energy bounds or ends.
 
     Args:
         curve: curve of the family.
@@ -151,15 +151,17 @@ def follow(
         born: True if the family starts at this point, and ends at the loss of hyperbolicity.
         progress: called with a label and the completed share.
     """
-    (low, high), run = energies, Followed(start)
+    (low, high), result = energies, Followed(start)
     # There, dH/ds vanishes too, which is not a fold.
     birth = start if born else None
     end = partial(FamilyEnd, system=problem.system)
 
     def within(energy: float) -> bool:
+        """Return True if an energy, J, is within the bounds."""
         return low <= energy <= high
 
     def crossed(test: str, point: CurvePoint, following: CurvePoint) -> bool:
+        """Return True if a measure changes its sign from a point to the following one."""
         return point.measures[test] * following.measures[test] < 0
 
     steps = curve.followed(
@@ -167,46 +169,48 @@ def follow(
         step=settings.step,
         smallest=settings.smallest_step,
         # A step across the whole elliptic range would miss both of its ends.
-        refused=lambda here, following: here is not birth and all(crossed(t, here, following) for t in CRITICAL),
+        refused=lambda here, following: (
+            here is not birth and all(crossed(test_name, here, following) for test_name in CRITICAL)
+        ),
     )
-    for before, following, length in steps:
-        run.here = following
-        for test in () if before is birth else (SLOPE, *CRITICAL):
-            if crossed(test, before, following) and (within(before.value) or within(following.value)):
-                place = curve.located(before, length, lambda point, test=test: point.measures[test])
+    for previous, following, length in steps:
+        result.here = following
+        for test in () if previous is birth else (SLOPE, *CRITICAL):
+            if crossed(test, previous, following) and (within(previous.value) or within(following.value)):
+                place = curve.located(previous, length, lambda point, test=test: point.measures[test])
                 if place is not None and within(place.value):
-                    run.events.append(CurveEvent(test, place, before.measures[test], following.measures[test]))
-                    if born and test in CRITICAL and run.last is None:
-                        run.points.append(place)
-                        run.last = end(place.value, FamilyEndCause.HYPERBOLICITY_LOST, multiplier=CRITICAL[test])
-        if run.last is not None:
+                    result.events.append(CurveEvent(test, place, previous.measures[test], following.measures[test]))
+                    if born and test in CRITICAL and result.last is None:
+                        result.points.append(place)
+                        result.last = end(place.value, FamilyEndCause.HYPERBOLICITY_LOST, multiplier=CRITICAL[test])
+        if result.last is not None:
             break
-        way = 1 if following.value > before.value else -1
-        for bound in energies[::way]:
-            if (before.value - bound) * (following.value - bound) < 0 or following.value == bound:
+        direction = 1 if following.value > previous.value else -1
+        for bound in energies[::direction]:
+            if (previous.value - bound) * (following.value - bound) < 0 or following.value == bound:
                 place = curve.at(following, bound)
-                run.points += [] if place is None else [place]
-                if bound == energies[::way][1]:
-                    run.last = end(bound, FamilyEndCause.ENERGY_BOUND)
-                    return run
-                run.first = end(bound, FamilyEndCause.ENERGY_BOUND)
+                result.points += [] if place is None else [place]
+                if bound == energies[::direction][1]:
+                    result.last = end(bound, FamilyEndCause.ENERGY_BOUND)
+                    return result
+                result.first = end(bound, FamilyEndCause.ENERGY_BOUND)
         if within(following.value):
-            run.points.append(following)
+            result.points.append(following)
             progress("family of orbits", min(1.0, abs(following.value - start.value) / (high - low)))
-        period, many = problem.period(following.unknowns), len(run.points) >= settings.most_members
+        period, too_many = problem.period(following.unknowns), len(result.points) >= settings.most_members
         if period > settings.longest:
-            run.last = end(following.value, FamilyEndCause.LONG_PERIOD, period=period)
+            result.last = end(following.value, FamilyEndCause.LONG_PERIOD, period=period)
         elif following.measures[SIZE] > settings.largest_multiplier:
-            run.last = end(following.value, FamilyEndCause.LARGE_MULTIPLIER, limit=settings.largest_multiplier)
-        elif many:
-            run.last = end(following.value, FamilyEndCause.MANY_MEMBERS, limit=settings.most_members)
-        if run.last is not None:
+            result.last = end(following.value, FamilyEndCause.LARGE_MULTIPLIER, limit=settings.largest_multiplier)
+        elif too_many:
+            result.last = end(following.value, FamilyEndCause.MANY_MEMBERS, limit=settings.most_members)
+        if result.last is not None:
             break
-    return run
+    return result
 
 
 def nearest_equilibrium(problem: SymmetricShooting, place: CurvePoint) -> tuple[str, float]:
-    """Return the equilibrium nearest to an orbit, and its scaled distance.
+    """Return the name of the equilibrium nearest to an orbit, and its scaled distance, to describe a family's end.
 
     Args:
         problem: shooting problem of the orbit.
@@ -214,7 +218,7 @@ def nearest_equilibrium(problem: SymmetricShooting, place: CurvePoint) -> tuple[
     """
     system = problem.system
     arc = system.propagator.sample(problem.state(place.unknowns), np.linspace(0, place.unknowns[-1], 400))
-    distances = {name: float(np.min(system.scaled_distance(arc, x))) for name, x in system.equilibria.items()}
+    distances = {name: float(np.min(system.scaled_distance(arc, state))) for name, state in system.equilibria.items()}
     return min(distances.items(), key=lambda item: item[1])
 
 
@@ -242,12 +246,16 @@ def family_end(points: list[CurvePoint], problem: SymmetricShooting, *, largest:
 
 
 def _extrapolated(points: list[CurvePoint], problem: SymmetricShooting) -> float | None:
-    """Extrapolate the energy to infinite period, or return None."""
+    """Return the energy, J, that the last members approach as their period grows without bound, or None.
+
+    It is the energy of an equilibrium if the family ends in that equilibrium's homoclinics. The result is None if the
+    members are too few or their energies do not converge.
+    """
     if len(points) < 9:
         return None
     # The energy is exponential in the period near homoclinics, so the rule needs equal steps in the period.
-    periods = np.array([problem.period(p.unknowns) for p in points[-9:]])
-    energies = np.array([p.value for p in points[-9:]])
+    periods = np.array([problem.period(point.unknowns) for point in points[-9:]])
+    energies = np.array([point.value for point in points[-9:]])
     if np.any(np.diff(periods) <= 0):
         return None
     rates = np.diff(energies) / np.diff(periods)
@@ -256,8 +264,8 @@ def _extrapolated(points: list[CurvePoint], problem: SymmetricShooting) -> float
     decay = -float(np.polyfit(middles, np.log(np.abs(rates)), 1)[0]) if np.all(rates != 0) else 0.0
     if decay <= 0:
         return None
-    last = float(rates[-1] * np.exp(-decay * (periods[-1] - middles[-1])))
-    return float(energies[-1] + last / decay)
+    last_rate = float(rates[-1] * np.exp(-decay * (periods[-1] - middles[-1])))
+    return float(energies[-1] + last_rate / decay)
 
 
 _UNFINISHED = (FamilyEndCause.LARGE_MULTIPLIER, FamilyEndCause.MANY_MEMBERS, FamilyEndCause.STUCK)
@@ -416,24 +424,27 @@ def lyapunov_family(
     elif last.cause is FamilyEndCause.LARGE_MULTIPLIER:
         tail = islice(curve.followed(run.here, step=step, smallest=step, first=step), settings.tail)
         last = family_end([*points, *(following for _, following, _ in tail)], problem, largest=largest)
-        points = [p for p in points if p.measures[SIZE] <= largest]
+        points = [place for place in points if place.measures[SIZE] <= largest]
     if not points:
         span = f"energies {low:g} to {high:g}{system.unit('J')}"
         raise InputError(f"{span}: the family about {saddle} does not reach them; {last.status}")
 
     def orbit(point: CurvePoint) -> LyapunovOrbit:
+        """Return the orbit at a point of the curve."""
         outcome = OrbitOutcome(OrbitCause.MEMBER, point.residual)
         return described_orbit(
             problem, point.unknowns, saddle=saddle, family=family, energy=point.value, outcome=outcome
         )
 
-    members = tuple(orbit(p) for p in points)
-    events = tuple(FamilyEvent("fold" if e.test == SLOPE else e.test, orbit(e.place)) for e in run.events)
+    members = tuple(orbit(place) for place in points)
+    events = tuple(
+        FamilyEvent("fold" if event.test == SLOPE else event.test, orbit(event.place)) for event in run.events
+    )
     return LyapunovFamily(system, saddle, family, events, energies, members=members, ends=(first, last))
 
 
 def floquet_measures(problem: SymmetricShooting, unknowns: Array) -> dict[str, float]:
-    """Return the tests of the Floquet multipliers, and the largest modulus.
+    """Return the tests of the Floquet multipliers by name, zero at a critical multiplier, and the largest modulus.
 
     Args:
         problem: shooting problem of the family.
@@ -442,9 +453,9 @@ def floquet_measures(problem: SymmetricShooting, unknowns: Array) -> dict[str, f
     system, state = problem.system, problem.state(unknowns)
     _, monodromy = system.propagator.flow_with_stm(state, problem.period(unknowns))
     plane, _ = np.linalg.qr(np.column_stack([system.numeric.rate(state), system.numeric.gradient(state)]))
-    rest = np.linalg.svd(plane.T)[2][2:].T
-    reduced = rest.T @ monodromy @ rest
+    reduced_basis = np.linalg.svd(plane.T)[2][2:].T
+    reduced = reduced_basis.T @ monodromy @ reduced_basis
     size = max(1.0, float(np.abs(np.linalg.eigvals(reduced)).max()))
     identity = np.eye(len(reduced))
-    tests = {test: float(np.linalg.det(reduced - at * identity)) / size for test, at in CRITICAL.items()}
+    tests = {test: float(np.linalg.det(reduced - critical * identity)) / size for test, critical in CRITICAL.items()}
     return {**tests, SIZE: size}

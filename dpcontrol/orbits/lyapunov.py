@@ -126,7 +126,7 @@ class SymmetricShooting(Brief):
         return self.quarters * float(unknowns[-1])
 
     def arc(self, unknowns: Array) -> tuple[Array, Array]:
-        """Return the residual (n,) and its Jacobian (n, n + 1).
+        """Return the residual (n,) of the arc's end on the final fixed set, and its Jacobian (n, n + 1).
 
         Args:
             unknowns: (c, τ) (n + 1,), τ in s.
@@ -139,7 +139,7 @@ class SymmetricShooting(Brief):
         return self.target @ (end - self.centre), jacobian
 
     def quantity(self, unknowns: Array) -> tuple[float, Array]:
-        """Return the energy (J) and its derivative (n + 1,).
+        """Return the energy, J, that continuation follows, and its derivative (n + 1,) by the unknowns.
 
         Args:
             unknowns: (c, τ) (n + 1,), τ in s.
@@ -148,7 +148,7 @@ class SymmetricShooting(Brief):
         return float(numeric.hamiltonian(state)), np.append(numeric.gradient(state) @ self.start, 0.0)
 
     def birth(self, linear: "LinearCentre") -> tuple[Array, Array]:
-        """Return the unknowns (n + 1,) of a family at its saddle, and their units (n + 1,).
+        """Return the unknowns (n + 1,) of a family at its saddle, where continuation begins, and their units (n + 1,).
 
         Args:
             linear: linear limit of the family.
@@ -168,7 +168,7 @@ class SymmetricShooting(Brief):
         return self.system.energy_scale
 
     def near(self, guess: Array) -> Function:
-        """Return the equations of the arc.
+        """Return the equations of the arc; they do not depend on the guess.
 
         Args:
             guess: unknowns (n + 1,).
@@ -188,19 +188,20 @@ class SymmetricShooting(Brief):
 
 
 def fixed_and_moved(reverser: Array) -> tuple[Array, Array]:
-    """Return a basis and the annihilator of the fixed set.
+    """Return a basis (N, n) of a reverser's fixed set, and rows (n, N) that vanish on it.
 
-    The shapes are (N, n) and (n, N).
+    A symmetric orbit starts in the first fixed set (the basis), and its arc ends where the rows of the last one vanish.
 
     Args:
         reverser: matrix (N, N).
     """
-    values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(reverser))
+    values, vectors = (np.asarray(part, dtype=complex) for part in np.linalg.eig(reverser))
     fixed = np.real(vectors[:, np.real(values) > 0])
     basis, _ = np.linalg.qr(fixed)
     projector = (np.eye(len(reverser)) - reverser) / 2
-    _, s, vt = np.linalg.svd(projector)
-    return basis, vt[s > 0.5]
+    _, singular_values, right_vectors = np.linalg.svd(projector)
+    # The projector onto the moved directions has singular values 1 on them and 0 on the fixed set.
+    return basis, right_vectors[singular_values > 0.5]
 
 
 @dataclass(frozen=True)
@@ -221,7 +222,7 @@ class LinearCentre(Brief):
 
 
 def symmetric_shooting(system: System, saddle: str, family: int) -> tuple[SymmetricShooting, LinearCentre]:
-    """Return the shooting problem of one family and its linear centre.
+    """Return the shooting problem of one family of Lyapunov orbits, and its linear limit at the saddle.
 
     Args:
         system: Hamiltonian system with reversers.
@@ -251,25 +252,31 @@ def symmetric_shooting(system: System, saddle: str, family: int) -> tuple[Symmet
 
 
 def _linear_centre(problem: SymmetricShooting, saddle: str, family: int) -> LinearCentre:
+    """Return the linear limit of a family: the saddle's oscillation with the number `family`, slowest first.
+
+    Raises:
+        InputError: the saddle has no such oscillation.
+    """
     system, centre, start = problem.system, problem.centre, problem.start
-    values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(system.numeric.jacobian(centre)))
-    rotating = [i for i in np.argsort(np.abs(np.imag(values))) if np.imag(values[i]) > 1e-6 * abs(values[i])]
-    if not 0 <= family < len(rotating):
+    values, vectors = (np.asarray(part, dtype=complex) for part in np.linalg.eig(system.numeric.jacobian(centre)))
+    oscillations = [i for i in np.argsort(np.abs(np.imag(values))) if np.imag(values[i]) > 1e-6 * abs(values[i])]
+    if not 0 <= family < len(oscillations):
         raise InputError(
-            f"{saddle} of {system.name} has {len(rotating)} families of Lyapunov orbits; family = {family} "
-            f"does not exist, use 0 to {len(rotating) - 1}"
-            if rotating
+            f"{saddle} of {system.name} has {len(oscillations)} families of Lyapunov orbits; family = {family} "
+            f"does not exist, use 0 to {len(oscillations) - 1}"
+            if oscillations
             else f"{saddle} of {system.name} has no Lyapunov orbits: no imaginary eigenvalues"
         )
-    mode = start @ (start.T @ vectors[:, rotating[family]])
+    # The fixed set of the first reverser contains one phase of each oscillation.
+    mode = start @ (start.T @ vectors[:, oscillations[family]])
     mode = np.real(mode / (mode[np.argmax(np.abs(mode))] / np.abs(mode).max()))
     if system.orientation @ mode < 0:
         mode = -mode
-    tiny = 1e-3 * np.linalg.norm(system.scale) / np.linalg.norm(mode)
-    lowest = float(system.numeric.hamiltonian(centre))
-    height = float(system.numeric.hamiltonian(centre + tiny * mode)) - lowest
-    direction = start.T @ mode * tiny / np.sqrt(abs(height))
-    return LinearCentre(lowest, direction, float(np.imag(values[rotating[family]])), float(np.sign(height)))
+    small_step = 1e-3 * np.linalg.norm(system.scale) / np.linalg.norm(mode)
+    saddle_energy = float(system.numeric.hamiltonian(centre))
+    height = float(system.numeric.hamiltonian(centre + small_step * mode)) - saddle_energy
+    direction = start.T @ mode * small_step / np.sqrt(abs(height))
+    return LinearCentre(saddle_energy, direction, float(np.imag(values[oscillations[family]])), float(np.sign(height)))
 
 
 _ON_THE_WAY = 1e-7
@@ -298,6 +305,7 @@ class LyapunovOrbit(PeriodicOrbit):
 
     @cached_property
     def _curve(self) -> "OrbitCurve":
+        """The orbit as a curve with interpolation; imported here, since the module of manifolds imports orbits."""
         from dpcontrol.orbits.manifold import OrbitCurve
 
         return OrbitCurve(self)
@@ -369,7 +377,7 @@ def lyapunov_orbit(
 def described_orbit(
     problem: SymmetricShooting, unknowns: Array, *, saddle: str, family: int, energy: float, outcome: OrbitOutcome
 ) -> LyapunovOrbit:
-    """Return the orbit for solved unknowns (n + 1,).
+    """Return the orbit for solved unknowns (n + 1,), with its monodromy matrix and multipliers.
 
     Args:
         problem: shooting problem of the family.
@@ -397,7 +405,7 @@ def described_orbit(
 
 
 def nearby_orbit(problem: SymmetricShooting, neighbour: LyapunovOrbit, energy: float) -> LyapunovOrbit:
-    """Return the orbit of a family at an energy from a nearby one.
+    """Return the orbit of a family at an energy from a nearby one, without continuation from the saddle.
 
     Args:
         problem: shooting problem of the family.
@@ -416,7 +424,7 @@ def nearby_orbit(problem: SymmetricShooting, neighbour: LyapunovOrbit, energy: f
 
 @dataclass(frozen=True)
 class _Passed:
-    """An intermediate member at s with its unknowns (n + 1,)."""
+    """An intermediate member at s = √(energy above the saddle): its unknowns (n + 1,) and their derivative by s."""
 
     s: float
     unknowns: Array
@@ -426,44 +434,52 @@ class _Passed:
 def _follow(
     problem: SymmetricShooting, settings: ContinuationSettings, linear: LinearCentre, energy: float
 ) -> tuple[Array, OrbitOutcome]:
-    """Continue in s = √(energy above the saddle) with cubic prediction."""
+    """Return the unknowns (n + 1,) of a family at an energy, J, and the outcome of their continuation from the saddle.
+
+    The continuation steps in s = √(energy above the saddle), in which the orbits grow in proportion, with cubic
+    prediction. If no step converges, the unknowns are the last ones.
+    """
     sign, goal = linear.sign, float(np.sqrt(abs(energy - linear.energy)))
-    longest = settings.step * np.sqrt(problem.system.energy_scale)
+    largest_step = settings.step * np.sqrt(problem.system.energy_scale)
     unknowns, units = problem.birth(linear)
     birth = _Passed(0.0, unknowns, np.append(linear.direction, 0.0))
     residuals = [np.inf]
 
     def following(passed: tuple[_Passed, ...], _: float, s: float) -> tuple[_Passed, ...] | None:
-        enough = 0.0 if s == goal else _ON_THE_WAY
-        newton = Newton(settings.newton_iterations, settings.tolerance, enough)
+        """Return the members with another one at s, or None if Newton's method fails or leaves the curve.
+
+        Intermediate members need less accuracy than the last one.
+        """
+        sufficient = 0.0 if s == goal else _ON_THE_WAY
+        newton = Newton(settings.newton_iterations, settings.tolerance, sufficient)
         guess = _predicted(passed[-2:], s)
         solution = member(problem, guess, energy if s == goal else linear.energy + sign * s * s, newton)
         residuals.append(solution.residual)
-        moves = solution.unknowns - guess, guess - passed[-1].unknowns
-        corrected, predicted = (float(np.linalg.norm(v / units)) for v in moves)
+        changes = solution.unknowns - guess, guess - passed[-1].unknowns
+        corrected, predicted = (float(np.linalg.norm(change / units)) for change in changes)
         # A correction of over half the step indicates another curve, as in module continuation.
-        if solution.residual > max(settings.tolerance, enough) or corrected > 0.5 * predicted:
+        if solution.residual > max(settings.tolerance, sufficient) or corrected > 0.5 * predicted:
             return None
         return *passed, _Passed(s, solution.unknowns, 2 * sign * s * solution.slope)
 
-    smallest = settings.smallest_step * longest
-    passed, s = stepped((birth,), (0.0, goal), following, longest=longest, smallest=smallest)
+    smallest = settings.smallest_step * largest_step
+    passed, s = stepped((birth,), (0.0, goal), following, longest=largest_step, smallest=smallest)
     cause, reached = OrbitCause.CONTINUED if s == goal else OrbitCause.LOST, linear.energy + sign * s**2
     return passed[-1].unknowns, OrbitOutcome(cause, residuals[-1], steps=len(passed) - 1, reached=reached)
 
 
 def _predicted(points: Sequence[_Passed], s: float) -> Array:
-    """Extrapolate the unknowns linearly from one point or cubically from two."""
+    """Return the unknowns (n + 1,) at s, extrapolated linearly from one member or cubically from two."""
     last = points[-1]
-    ahead = last.unknowns + (s - last.s) * last.slope
+    linear = last.unknowns + (s - last.s) * last.slope
     if len(points) == 1:
-        return ahead
+        return linear
     # Newton form on the nodes last, last, first, first.
     first = points[0]
     width = first.s - last.s
     chord = (first.unknowns - last.unknowns) / width
     bend, far_bend = (chord - last.slope) / width, (first.slope - chord) / width
-    return ahead + (s - last.s) ** 2 * (bend + (s - first.s) * (far_bend - bend) / width)
+    return linear + (s - last.s) ** 2 * (bend + (s - first.s) * (far_bend - bend) / width)
 
 
 def floquet_multipliers(system: System, state: Array, period: float, monodromy: Array) -> NDArray[np.complex128]:
@@ -481,15 +497,15 @@ def floquet_multipliers(system: System, state: Array, period: float, monodromy: 
     """
     rate, gradient = system.numeric.rate(state), system.numeric.gradient(state)
     plane, _ = np.linalg.qr(np.column_stack([rate, gradient]))
-    rest = np.linalg.svd(plane.T)[2][2:].T
-    forward = np.linalg.eigvals(rest.T @ monodromy @ rest)
+    reduced_basis = np.linalg.svd(plane.T)[2][2:].T
+    forward = np.linalg.eigvals(reduced_basis.T @ monodromy @ reduced_basis)
     _, backward_monodromy = system.propagator.flow_with_stm(state, -period)
-    backward = np.linalg.eigvals(rest.T @ backward_monodromy @ rest)
+    backward = np.linalg.eigvals(reduced_basis.T @ backward_monodromy @ reduced_basis)
     outside = forward[np.abs(forward) > 1 + 1e-6]
     inside = 1 / backward[np.abs(backward) > 1 + 1e-6]
     count = system.dimension - 2 - len(outside) - len(inside)
     neutral = forward[np.argsort(np.abs(np.abs(forward) - 1))[: max(count, 0)]]
-    along = rate @ monodromy @ rate / (rate @ rate)
-    across = gradient @ monodromy @ gradient / (gradient @ gradient)
-    values = np.concatenate([outside, [along, across], neutral, inside]).astype(complex)
+    flow_multiplier = rate @ monodromy @ rate / (rate @ rate)
+    energy_multiplier = gradient @ monodromy @ gradient / (gradient @ gradient)
+    values = np.concatenate([outside, [flow_multiplier, energy_multiplier], neutral, inside]).astype(complex)
     return values[np.argsort(-np.abs(values), kind="stable")]

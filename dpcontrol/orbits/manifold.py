@@ -70,10 +70,10 @@ class UnstableManifold(Brief, Generic[Orbit]):
         Its largest coordinate and `side` determine the sign, so the branches have unique names.
         """
         values, vectors = np.linalg.eig(self.orbit.monodromy)
-        v = np.real(vectors[:, np.argmax(np.abs(values))])
-        v = v / np.linalg.norm(v / self.orbit.system.scale)
-        n = len(v) // 2
-        return v * (self.side * np.sign(v[np.argmax(np.abs(v[:n]))]))
+        unstable_vector = np.real(vectors[:, np.argmax(np.abs(values))])
+        unstable_vector = unstable_vector / np.linalg.norm(unstable_vector / self.orbit.system.scale)
+        n = len(unstable_vector) // 2
+        return unstable_vector * (self.side * np.sign(unstable_vector[np.argmax(np.abs(unstable_vector[:n]))]))
 
     @cached_property
     def exponent(self) -> float:
@@ -100,7 +100,7 @@ class UnstableManifold(Brief, Generic[Orbit]):
         return self.half_turn is not None and self.half_turn[1] < 0
 
     def frame(self, phases: Array) -> Frame:
-        """Return orbit and unstable vector at given phases.
+        """Return the orbit's states and unstable vectors at given phases, with derivatives, of which seeds consist.
 
         Args:
             phases: any real phases (K,), 1 for a period.
@@ -109,43 +109,46 @@ class UnstableManifold(Brief, Generic[Orbit]):
         system, centre = orbit.system, orbit.centre
         phases = np.atleast_1d(np.asarray(phases, dtype=float))
         spacing = 1.0 if self.half_turn is None else 0.5
+        # Phases are reduced to the shortest arc, and the rest follows by the symmetry of half a period.
         turns = np.rint(phases / spacing)
         base = phases - turns * spacing
         states = np.empty((len(base), system.dimension))
         matrices = np.empty((len(base), system.dimension, system.dimension))
         for side in (base >= 0, base < 0):
-            where = np.flatnonzero(side)[np.argsort(np.abs(base[side]), kind="stable")]
-            states[where], matrices[where] = system.propagator.sample_with_stm(orbit.state, base[where] * orbit.period)
+            order = np.flatnonzero(side)[np.argsort(np.abs(base[side]), kind="stable")]
+            states[order], matrices[order] = system.propagator.sample_with_stm(orbit.state, base[order] * orbit.period)
         growth = np.exp(-self.exponent * base)[:, None]
-        raw = (matrices @ self.vector) * growth
+        vectors = (matrices @ self.vector) * growth
         state_slopes = system.numeric.rate(states) * orbit.period
-        raw_slopes = np.einsum("kij,kj->ki", system.numeric.jacobian(states), raw) * orbit.period
-        raw_slopes -= self.exponent * raw
+        vector_slopes = np.einsum("kij,kj->ki", system.numeric.jacobian(states), vectors) * orbit.period
+        vector_slopes -= self.exponent * vectors
         if self.half_turn is not None:
             symmetry, sign = self.half_turn
             odd = (turns % 2).astype(bool)
             states[odd] = (states[odd] - centre) @ symmetry.T + centre
             state_slopes[odd] = state_slopes[odd] @ symmetry.T
-            raw[odd] = sign * raw[odd] @ symmetry.T
-            raw_slopes[odd] = sign * raw_slopes[odd] @ symmetry.T
-        lengths = np.linalg.norm(raw / system.scale, axis=1)
-        return Frame(phases, states, raw, state_slopes, raw_slopes, lengths)
+            vectors[odd] = sign * vectors[odd] @ symmetry.T
+            vector_slopes[odd] = sign * vector_slopes[odd] @ symmetry.T
+        lengths = np.linalg.norm(vectors / system.scale, axis=1)
+        return Frame(phases, states, vectors, state_slopes, vector_slopes, lengths)
 
     @cached_property
     def _evening(self) -> tuple[float, float]:
-        """Return e and L for the seeds' distance, `distance` (l(φ)/L)^e.
+        """Return e and L for the seeds' distance from the orbit, `distance` (l(φ)/L)^e.
 
-        Here l(φ) is the length of the vector and L is its maximum. With e = 0, all seeds have the same distance. If the
+        Here l(φ) is the length of the vector and L its maximum. With e = 0, all seeds have the same distance. If the
         vectors shrink faster than trajectories depart, several seeds then lie on one trajectory. With e = 1 (constant
         amplitude), each trajectory has one seed, but seeds are nearer to the orbit.
         """
         frame = self.frame(np.arange(_PROBES) / _PROBES)
-        along = np.sum(frame.vectors * frame.vector_slopes / self.orbit.system.scale**2, axis=1) / frame.lengths**2
-        steepest = float(np.max(-along)) / self.exponent
+        length_rates = (
+            np.sum(frame.vectors * frame.vector_slopes / self.orbit.system.scale**2, axis=1) / frame.lengths**2
+        )
+        steepest = float(np.max(-length_rates)) / self.exponent
         return 1 - min(1.0, _STEEPEST / steepest) if steepest > 0 else 0.0, float(frame.lengths.max())
 
     def amplitude(self, phase: float, branch: int) -> float:
-        """Return the amplitude of the seed at a phase.
+        """Return the factor on the unstable vector of the seed at a phase, signed by the branch.
 
         Args:
             phase: phase of the orbit, 1 for a period.
@@ -170,18 +173,20 @@ class UnstableManifold(Brief, Generic[Orbit]):
         numeric, scale = self.orbit.system.numeric, self.orbit.system.scale
         lengths = frame.lengths[:, None]
         vectors = frame.vectors / lengths
-        along = np.sum(vectors * frame.vector_slopes / scale**2, axis=1, keepdims=True) / lengths
+        length_rates = np.sum(vectors * frame.vector_slopes / scale**2, axis=1, keepdims=True) / lengths
         exponent, longest = self._evening
         distances = branch * self.distance * (lengths / longest) ** exponent
         seeds = frame.states + distances * vectors
-        slopes = frame.state_slopes + distances * (frame.vector_slopes / lengths + (exponent - 1) * along * vectors)
+        slopes = frame.state_slopes + distances * (
+            frame.vector_slopes / lengths + (exponent - 1) * length_rates * vectors
+        )
         for _ in range(3):
             gradient = numeric.gradient(seeds) * scale
             excess = numeric.hamiltonian(seeds) - self.orbit.energy
             seeds = seeds - (excess / np.sum(gradient**2, axis=1))[:, None] * gradient * scale
         normal = numeric.gradient(seeds) * scale
-        away = np.sum(normal * slopes / scale, axis=1) / np.sum(normal**2, axis=1)
-        return seeds, slopes - away[:, None] * normal * scale
+        energy_drift = np.sum(normal * slopes / scale, axis=1) / np.sum(normal**2, axis=1)
+        return seeds, slopes - energy_drift[:, None] * normal * scale
 
 
 _ROUNDS = 200  # power iterations, sufficient for |λ| > 1.2
@@ -194,7 +199,11 @@ class SegmentedManifold(UnstableManifold[Orbit]):
 
     @cached_property
     def _node_vectors(self) -> tuple[Array, float, int]:
-        """Node vectors (M, N), the exponent ln |λ| and λ's sign."""
+        """Return the unstable vectors (M, N) at the M segments' first nodes, the exponent ln |λ|, and the sign of λ.
+
+        The power method iterates over whole periods, segment by segment, so that no product of matrices overflows or
+        loses the smaller directions. The vectors decay by e^(-μφ), as in `Frame`.
+        """
         orbit = self.orbit
         scale = orbit.system.scale
         times, states = orbit.nodes
@@ -203,20 +212,20 @@ class SegmentedManifold(UnstableManifold[Orbit]):
         vector = np.cos(np.arange(len(scale)) + 1.0)
         lengths, vectors, sign = np.ones(len(stms)), np.empty((len(stms), len(scale))), 1
         for _ in range(_ROUNDS):
-            before = vector
+            previous = vector
             for k, stm in enumerate(stms):
                 vectors[k] = vector
-                grown = (stm @ (vector * scale)) / scale
-                lengths[k] = np.linalg.norm(grown)
-                vector = grown / lengths[k]
-            sign = int(np.sign(vector @ before))
-            if np.abs(vector - sign * before).max() < _SETTLED:
+                next_vector = (stm @ (vector * scale)) / scale
+                lengths[k] = np.linalg.norm(next_vector)
+                vector = next_vector / lengths[k]
+            sign = int(np.sign(vector @ previous))
+            if np.abs(vector - sign * previous).max() < _SETTLED:
                 break
         exponent = float(np.log(lengths).sum())
-        grown_by = np.concatenate([[0.0], np.cumsum(np.log(lengths))[:-1]])
-        vectors *= np.exp(grown_by - exponent * times[:-1] / orbit.period)[:, None]
-        first = vectors[0, : len(scale) // 2] * scale[: len(scale) // 2]
-        return vectors * scale * (self.side * np.sign(first[np.argmax(np.abs(first))])), exponent, sign
+        log_growth = np.concatenate([[0.0], np.cumsum(np.log(lengths))[:-1]])
+        vectors *= np.exp(log_growth - exponent * times[:-1] / orbit.period)[:, None]
+        first_angles = vectors[0, : len(scale) // 2] * scale[: len(scale) // 2]
+        return vectors * scale * (self.side * np.sign(first_angles[np.argmax(np.abs(first_angles))])), exponent, sign
 
     @cached_property
     def vector(self) -> Array:
@@ -249,11 +258,11 @@ class SegmentedManifold(UnstableManifold[Orbit]):
         states = np.empty((len(phases), system.dimension))
         vectors = np.empty_like(states)
         for k in np.unique(segment):
-            where = np.flatnonzero(segment == k)
-            where = where[np.argsort(elapsed[where], kind="stable")]
-            along = elapsed[where] - node_times[k]
-            states[where], matrices = system.propagator.sample_with_stm(node_states[k], along)
-            vectors[where] = (matrices @ nodes[k]) * np.exp(-exponent * along / period)[:, None]
+            order = np.flatnonzero(segment == k)
+            order = order[np.argsort(elapsed[order], kind="stable")]
+            times = elapsed[order] - node_times[k]
+            states[order], matrices = system.propagator.sample_with_stm(node_states[k], times)
+            vectors[order] = (matrices @ nodes[k]) * np.exp(-exponent * times / period)[:, None]
         vectors *= np.where(rounds % 2 == 1, float(sign), 1.0)[:, None]
         state_slopes = system.numeric.rate(states) * period
         vector_slopes = np.einsum("kij,kj->ki", system.numeric.jacobian(states), vectors) * period
@@ -263,7 +272,7 @@ class SegmentedManifold(UnstableManifold[Orbit]):
 
 
 def local_manifold(orbit: Orbit, distance: float = 3e-4) -> UnstableManifold[Orbit]:
-    """Return the local unstable manifold of an orbit.
+    """Return the local unstable manifold of an orbit: by segments if the orbit is stored as nodes.
 
     Args:
         orbit: hyperbolic orbit.
@@ -288,52 +297,54 @@ class OrbitCurve(Brief):
 
     @cached_property
     def _spline(self) -> Any:
+        """The periodic cubic spline through the samples, without the rotation of a rotating orbit."""
         # Its import takes longer than an orbit.
         from scipy.interpolate import CubicSpline
 
         # The rotation is subtracted, because the spline must be periodic.
-        still = self.samples - np.arange(SAMPLES)[:, None] / SAMPLES * self.orbit.turn
-        closed = np.vstack([still, still[:1]])
-        return CubicSpline(np.arange(SAMPLES + 1) / SAMPLES, closed, bc_type="periodic")
+        without_turns = self.samples - np.arange(SAMPLES)[:, None] / SAMPLES * self.orbit.turn
+        periodic_samples = np.vstack([without_turns, without_turns[:1]])
+        return CubicSpline(np.arange(SAMPLES + 1) / SAMPLES, periodic_samples, bc_type="periodic")
 
     @cached_property
     def _tree(self) -> Any:
+        """The samples in a search tree, from which the nearest one begins a search for the nearest point."""
         from scipy.spatial import KDTree
 
         return KDTree(self._embedded(self.samples))
 
     def _embedded(self, states: Array) -> Array:
-        """Map angles to the unit circle, so that distances respect the torus."""
+        """Return states (K, N) with each angle as a point of a scaled circle, so that distances respect whole turns."""
         system = self.orbit.system
         angular = np.isfinite(system.periods)
         turns = states[:, angular] / system.periods[angular] * 2 * np.pi
         radius = system.periods[angular] / (2 * np.pi) / system.scale[angular]
-        plain = states[:, ~angular] / system.scale[~angular]
-        return np.hstack([np.cos(turns) * radius, np.sin(turns) * radius, plain])
+        other_coordinates = states[:, ~angular] / system.scale[~angular]
+        return np.hstack([np.cos(turns) * radius, np.sin(turns) * radius, other_coordinates])
 
     def states(self, phases: Array) -> Array:
-        """Return states (…, N) at phases (…).
+        """Return the orbit's states (…, N) at phases (…), interpolated.
 
         Args:
             phases: any real phases (…).
         """
-        within = np.asarray(phases) % 1.0
-        return self._spline(within) + within[..., None] * self.orbit.turn
+        phases_in_period = np.asarray(phases) % 1.0
+        return self._spline(phases_in_period) + phases_in_period[..., None] * self.orbit.turn
 
     def nearest(self, states: Array) -> tuple[Array, Array]:
-        """Return phases (…) and scaled distances (…) of the nearest points.
+        """Return phases (…) and scaled distances (…) of the orbit's points nearest to states, in the largest component.
 
         Args:
             states: states (…, N).
         """
-        system, x = self.orbit.system, np.asarray(states, dtype=float)
+        system, all_states = self.orbit.system, np.asarray(states, dtype=float)
         # The nearest sample in the Euclidean norm is close to the nearest point in the maximum norm.
-        around = self._tree.query(self._embedded(x.reshape(-1, system.dimension)))[1]
-        phases, reach = np.reshape(around, x.shape[:-1]) / SAMPLES, 3 / SAMPLES
+        nearest_sample = self._tree.query(self._embedded(all_states.reshape(-1, system.dimension)))[1]
+        phases, reach = np.reshape(nearest_sample, all_states.shape[:-1]) / SAMPLES, 3 / SAMPLES
         grid, distances = np.linspace(-1.0, 1.0, 33), np.empty(0)
         while reach > 1e-13:
             trials = phases[..., None] + reach * grid
-            distances = system.scaled_distance(x[..., None, :], self.states(trials))
+            distances = system.scaled_distance(all_states[..., None, :], self.states(trials))
             phases = np.take_along_axis(trials, np.argmin(distances, axis=-1)[..., None], axis=-1)[..., 0]
             # The minimum lies within one step of the smallest value on the grid.
             reach *= 2 / 32
@@ -349,18 +360,18 @@ class OrbitCurve(Brief):
             states: states (K, N).
         """
         system = self.orbit.system
-        x = np.atleast_2d(states)
-        phases = np.asarray(self._tree.query(self._embedded(x))[1], dtype=float) / SAMPLES
+        rows = np.atleast_2d(states)
+        phases = np.asarray(self._tree.query(self._embedded(rows))[1], dtype=float) / SAMPLES
         for _ in range(4):
-            gap = self._gaps(x, self.states(phases)) / system.scale
+            gap = self._gaps(rows, self.states(phases)) / system.scale
             slope = (self._spline(phases % 1.0, 1) + self.orbit.turn) / system.scale
             step = np.sum(gap * slope, axis=-1) / np.sum(slope**2, axis=-1)
             phases = phases + np.clip(step, -1 / SAMPLES, 1 / SAMPLES)
-        gap = self._gaps(x, self.states(phases)) / system.scale
+        gap = self._gaps(rows, self.states(phases)) / system.scale
         return phases % 1.0, np.max(np.abs(gap), axis=-1)
 
     def _gaps(self, first: Array, second: Array) -> Array:
-        """Return first - second with whole turns removed."""
+        """Return the differences first - second (…, N) with whole turns removed."""
         system = self.orbit.system
         difference = first - second
         return difference - system.nearest_turns(difference) * system.turn_lengths

@@ -134,12 +134,12 @@ class PeriodicOrbit(OrbitRecord, Periodic, Concluded):
 
     @property
     def turn(self) -> Array:
-        """Change (N,) of the coordinates over one period."""
+        """Change (N,) of the coordinates over one period, in their units: zero unless the orbit rotates."""
         return self.whole_turns * self.system.turn_lengths
 
     @property
     def laps(self) -> bool:
-        """True if the orbit and its tubes may cross sections every lap."""
+        """True if the orbit itself, and its tubes with it, may cross sections in every period."""
         return False
 
     @property

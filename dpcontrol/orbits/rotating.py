@@ -148,10 +148,10 @@ class RotatingOrbit(RotatingRecord, Periodic, Concluded):
         """
         if times is None:
             return self.sample()
-        laps, within = np.divmod(checked_times(times), self.period)
-        distinct, places = np.unique(within, return_inverse=True)
+        laps, times_in_period = np.divmod(checked_times(times), self.period)
+        distinct, indices = np.unique(times_in_period, return_inverse=True)
         turn = np.concatenate([self.winding, np.zeros(len(self.winding))]) * self.system.turn_lengths
-        return self.system.propagator.sample(self.state, distinct)[places] + laps[..., None] * turn
+        return self.system.propagator.sample(self.state, distinct)[indices] + laps[..., None] * turn
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class HalfTurn(SymmetricShooting):
     turn: Array
 
     def arc(self, unknowns: Array) -> tuple[Array, Array]:
-        """Return the residual (n,) and its Jacobian (n, n + 1).
+        """Return the residual (n,) of the arc's end on the fixed set after half a turn, and its Jacobian (n, n + 1).
 
         Args:
             unknowns: (c, τ) (n + 1,), τ in s.
@@ -169,8 +169,8 @@ class HalfTurn(SymmetricShooting):
         Raises:
             ArithmeticError: the arc diverged.
         """
-        miss, jacobian = super().arc(unknowns)
-        return miss - self.target @ self.turn, jacobian
+        residual, jacobian = super().arc(unknowns)
+        return residual - self.target @ self.turn, jacobian
 
 
 def rotating_orbits(
@@ -206,11 +206,11 @@ def rotating_orbits(
             orbit = described(problem, solution.unknowns, arm, energy, solution.residual)
             if not any(np.abs(orbit.state - earlier.state).max() < 1e-7 for earlier in orbits):
                 orbits.append(orbit)
-    return tuple(sorted(orbits, key=lambda o: -o.period))
+    return tuple(sorted(orbits, key=lambda rotating_orbit: -rotating_orbit.period))
 
 
 def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn:
-    """Return the shooting problem of orbits that rotate an arm.
+    """Return the shooting problem of symmetric orbits on which an arm rotates.
 
     Args:
         system: system of two arms.
@@ -227,7 +227,7 @@ def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn
 
 
 def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newton_residual: float) -> RotatingOrbit:
-    """Return the orbit for solved unknowns (ω, τ).
+    """Return the rotating orbit for solved unknowns (ω, τ), with its multipliers and type.
 
     Args:
         problem: shooting problem of the orbit.
@@ -244,7 +244,7 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
         large = (trace + np.sign(trace) * np.sqrt(trace * trace - 4)) / 2
         multipliers = np.array([large, 1 / large], dtype=complex)
     else:
-        multipliers = np.array([complex(trace, s * np.sqrt(4 - trace * trace)) / 2 for s in (1, -1)])
+        multipliers = np.array([complex(trace, sign * np.sqrt(4 - trace * trace)) / 2 for sign in (1, -1)])
     return RotatingOrbit(
         system=system,
         arm=arm,
@@ -261,7 +261,7 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
 
 
 def section_trace(problem: HalfTurn, unknowns: Array) -> tuple[float, Array]:
-    """Return the trace of the Poincaré map and the final state (N,).
+    """Return the trace of the Poincaré map, which determines stability, and the final state (N,).
 
     It is the trace of the monodromy matrix without the two multipliers at one, of the flow and the energy.
 
@@ -293,7 +293,7 @@ def can_rotate(system: System) -> bool:
 
 @dataclass(frozen=True)
 class _Arrival(Brief):
-    """Final angle of the other arm, if any, and flight time (s)."""
+    """The final angle `miss` of the other arm less its position, rad, or None, from an angle ψ of the scan; time, s."""
 
     angle: float
     miss: float | None
@@ -301,20 +301,24 @@ class _Arrival(Brief):
 
 
 def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: RotatingSettings) -> list[Array]:
-    """Return initial guesses (ω, τ) from a scan of the ellipse."""
+    """Return guesses (ω, τ), rad/s and s, of rotating orbits, from a scan of the rates of given energy.
+
+    The rates form an ellipse over the angle ψ. A guess lies at each sign change of the other arm's final angle, and at
+    each small minimum of its size.
+    """
     system = problem.system
     kinetic = energy - float(system.numeric.hamiltonian(problem.centre))
     if kinetic <= 0:
         return []
     # ½ ωᵀ M ω = kinetic: the rates are the columns of this matrix times (cos ψ, sin ψ).
     axes = np.sqrt(2 * kinetic) * np.linalg.inv(np.linalg.cholesky(system.numeric.mass_matrix(problem.centre))).T
-    turning, swinging = arm - 1, 2 - arm
-    unit = np.eye(4)
+    turning_arm, other_arm = arm - 1, 2 - arm
+    unit_vectors = np.eye(4)
     section = Section(
-        f"θ{'₁₂'[turning]} = π + 2πk",
-        tuple(unit[turning]),
-        tuple(unit[swinging]),
-        tuple(unit[swinging][:2]),
+        f"θ{'₁₂'[turning_arm]} = π + 2πk",
+        tuple(unit_vectors[turning_arm]),
+        tuple(unit_vectors[other_arm]),
+        tuple(unit_vectors[other_arm][:2]),
         offset=np.pi,
         period=2 * np.pi,
     )
@@ -323,58 +327,66 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
     longest = settings.longest * 2 * np.pi / float(slowest)
 
     def rates(angle: float) -> Array:
+        """Return the rates (2,) at an angle ψ of the ellipse, rad/s."""
         return axes @ np.array([np.cos(angle), np.sin(angle)])
 
     def arrive(angles: Array) -> list[_Arrival]:
+        """Return the arrivals of the trajectories from angles (K,) of the ellipse."""
         arrivals = []
         states = np.array([problem.centre + problem.start @ (problem.start[2:].T @ rates(angle)) for angle in angles])
         ends, times = system.propagator.crossings(states, section, longest=longest)
         for angle, end, time in zip(angles, ends, times.tolist(), strict=True):
-            if np.isinf(time) or sense * end[turning] < 0:
+            if np.isinf(time) or sense * end[turning_arm] < 0:
                 arrivals.append(_Arrival(float(angle), None, np.inf))
             else:
-                arrivals.append(_Arrival(float(angle), float(end[swinging] - problem.centre[swinging]), time))
+                arrivals.append(_Arrival(float(angle), float(end[other_arm] - problem.centre[other_arm]), time))
         return arrivals
 
     # The offset prevents orbits on grid points, due to the symmetry of the ellipse.
     grid = 0.1234 + np.linspace(0, 2 * np.pi, settings.first_angles + 1)
     arrivals = _refined(arrive(grid), arrive, settings)
     guesses = []
-    for a, b in pairwise(arrivals):
-        if a.miss is None or b.miss is None or abs(a.miss - b.miss) > settings.jump or a.miss * b.miss > 0:
+    for first, second in pairwise(arrivals):
+        if (
+            first.miss is None
+            or second.miss is None
+            or abs(first.miss - second.miss) > settings.jump
+            or first.miss * second.miss > 0
+        ):
             continue
-        share = a.miss / (a.miss - b.miss)
-        angle = a.angle + share * (b.angle - a.angle)
-        guesses.append(np.append(problem.start[2:].T @ rates(angle), a.time + share * (b.time - a.time)))
-    for a, b, c in zip(arrivals, arrivals[1:], arrivals[2:], strict=False):
+        share = first.miss / (first.miss - second.miss)
+        angle = first.angle + share * (second.angle - first.angle)
+        guesses.append(np.append(problem.start[2:].T @ rates(angle), first.time + share * (second.time - first.time)))
+    for first, second, third in zip(arrivals, arrivals[1:], arrivals[2:], strict=False):
         # A pair of orbits near its bifurcation may lie between neighbours without a change of sign.
-        if a.miss is None or b.miss is None or c.miss is None:
+        if first.miss is None or second.miss is None or third.miss is None:
             continue
-        if abs(b.miss) < min(abs(a.miss), abs(c.miss), settings.jump) and a.miss * c.miss > 0:
-            guesses.append(np.append(problem.start[2:].T @ rates(b.angle), b.time))
+        if abs(second.miss) < min(abs(first.miss), abs(third.miss), settings.jump) and first.miss * third.miss > 0:
+            guesses.append(np.append(problem.start[2:].T @ rates(second.angle), second.time))
     return guesses
 
 
 def _refined(
     arrivals: list[_Arrival], arrive: Callable[[Array], list[_Arrival]], settings: RotatingSettings
 ) -> list[_Arrival]:
-    """Bisect steps of the scan at jumps of the arrival."""
+    """Return the arrivals of the scan with further ones between neighbours whose arrivals jump."""
 
     def smooth(a: _Arrival, b: _Arrival) -> bool:
+        """Return True if the arrival does not jump between two angles of the scan."""
         if a.miss is None or b.miss is None:
             return a.miss is b.miss
         return abs(a.miss - b.miss) <= settings.jump
 
     while len(arrivals) < settings.most_angles:
-        fine = [smooth(a, b) or b.angle - a.angle < settings.finest for a, b in pairwise(arrivals)]
-        if all(fine):
+        steps = [smooth(a, b) or b.angle - a.angle < settings.finest for a, b in pairwise(arrivals)]
+        if all(steps):
             break
         middles = iter(
-            arrive(np.array([(a.angle + b.angle) / 2 for (a, b), resolved in zip(pairwise(arrivals), fine, strict=True)
+            arrive(np.array([(a.angle + b.angle) / 2 for (a, b), resolved in zip(pairwise(arrivals), steps, strict=True)
                              if not resolved]))
         )  # fmt: skip
         merged = arrivals[:1]
-        for b, resolved in zip(arrivals[1:], fine, strict=True):
+        for b, resolved in zip(arrivals[1:], steps, strict=True):
             merged += [b] if resolved else [next(middles), b]
         arrivals = merged
     return arrivals
@@ -446,6 +458,7 @@ def rotating_family(
     problem = half_turn(orbit.system, orbit.arm, sense, float(other_angle))
 
     def measure(unknowns: Array) -> dict[str, float]:
+        """Return the tests of the trace, zero where it is ±2, and its modulus as the size."""
         trace = section_trace(problem, unknowns)[0]
         return {**{test: trace - 2 * multiplier for test, multiplier in CRITICAL.items()}, SIZE: abs(trace)}
 
@@ -453,6 +466,7 @@ def rotating_family(
     curve = Curve(problem, weights, settings.newton, settings.newton.tolerance, measure)
 
     def described_point(point: CurvePoint) -> RotatingOrbit:
+        """Return the orbit at a point of the curve."""
         return described(problem, point.unknowns, orbit.arm, point.value, point.residual)
 
     unknowns = np.append(problem.start.T @ (orbit.state - problem.centre), orbit.period / 2)
@@ -461,12 +475,12 @@ def rotating_family(
         follow(curve, problem, start, energies, settings=settings, progress=progress)
         for start in (first, first.reversed())
     )
-    members = tuple(described_point(p) for p in [*reversed(down.points), first, *up.points])
+    members = tuple(described_point(curve_point) for curve_point in [*reversed(down.points), first, *up.points])
     events = [(event, described_point(event.place), True) for event in reversed(down.events)]
     events += [(event, described_point(event.place), False) for event in up.events]
     changes = tuple(_change(event, place, downward) for event, place, downward in events if event.test != SLOPE)
     folds = tuple(place for event, place, _ in events if event.test == SLOPE)
-    lower, upper = (run.last or family_end([run.here], problem) for run in (down, up))
+    lower, upper = (branch.last or family_end([branch.here], problem) for branch in (down, up))
     return RotatingFamily(changes, folds, members=members, ends=(lower, upper))
 
 
@@ -549,24 +563,27 @@ class RotatingFamilies(Documented):
 
 
 def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
-    """Return True if a family's curve passes through an orbit."""
+    """Return True if a family's curve passes through an orbit, so that the family need not be followed again."""
     scale = orbit.system.scale
-    for a, b in pairwise(family.members):
-        if (a.energy - orbit.energy) * (b.energy - orbit.energy) > 0 or a.energy == b.energy:
+    for first, second in pairwise(family.members):
+        if (first.energy - orbit.energy) * (second.energy - orbit.energy) > 0 or first.energy == second.energy:
             continue
-        share = (orbit.energy - a.energy) / (b.energy - a.energy)
-        state = a.state + share * (b.state - a.state)
-        period = a.period + share * (b.period - a.period)
+        share = (orbit.energy - first.energy) / (second.energy - first.energy)
+        state = first.state + share * (second.state - first.state)
+        period = first.period + share * (second.period - first.period)
         # Members are a few hundredths apart, and the error of a chord is below a tenth of that.
-        reach = 0.1 * max(float(np.abs((b.state - a.state) / scale).max()), abs(b.period / a.period - 1)) + 1e-6
-        off = max(float(np.abs((state - orbit.state) / scale).max()), abs(period / orbit.period - 1))
-        if off < reach:
+        tolerance = (
+            0.1 * max(float(np.abs((second.state - first.state) / scale).max()), abs(second.period / first.period - 1))
+            + 1e-6
+        )
+        difference = max(float(np.abs((state - orbit.state) / scale).max()), abs(period / orbit.period - 1))
+        if difference < tolerance:
             return True
     return False
 
 
 def _change(event: CurveEvent, orbit: RotatingOrbit, downward: bool) -> StabilityChange:
-    """Return the change of stability at an event; `downward` reverses its sides."""
+    """Return the change of stability at an event; `downward` exchanges its sides, if followed downward."""
     critical = 2 * CRITICAL[event.test]
     before, after = (kind_of(float(critical + np.sign(side))) for side in (event.before, event.after))
     return StabilityChange(orbit, critical, *((after, before) if downward else (before, after)))

@@ -56,7 +56,7 @@ class Tube(Shown, Documented):
         return (self.branch,) if self.branch else (1, -1)
 
     def _placed(self, states: Array) -> Array:
-        """Map states (…, N) of the unstable tube to this tube."""
+        """Return states (…, N) of the unstable tube on this tube: unchanged, or reflected onto the stable one."""
         centre = self.orbit.centre
         return (states - centre) @ self.orbit.reverser.T + centre if self.stable else states
 
@@ -127,7 +127,7 @@ class Tube(Shown, Documented):
         return replace(cut, pieces=pieces, open_ends=ends, stable=self.stable, seconds=seconds)
 
     def placed(self, piece: Piece, section: Section) -> Piece:
-        """Return a piece of a cut as one of this tube.
+        """Return a piece of an unstable tube's cut as a piece of this tube's cut, reflected for a stable tube.
 
         Args:
             piece: piece of the unstable tube's cut.
@@ -143,9 +143,9 @@ class Tube(Shown, Documented):
 
 
 def _followed(propagator: Any, seed: Array, seconds: float) -> Array:
-    """Return states (M, N) of a trajectory.
+    """Return states (M, N) of a trajectory from a seed (N,) for a time, s, for a strand of a tube.
 
-    It ends after a time, or before it becomes infinite.
+    If the trajectory becomes infinite, the time is halved until it does not.
     """
     while True:
         try:

@@ -51,7 +51,7 @@ class HyperbolicOrbit(LyapunovOrbit):
 
     @property
     def laps(self) -> bool:
-        """True if the orbit and its tubes may cross sections every lap."""
+        """True: the orbit itself, and its tubes with it, may cross sections in every period."""
         return True
 
 
@@ -76,15 +76,15 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
         )
     system, n = orbit.system, orbit.system.dimension // 2
     default = f"{('inner', 'outer')[orbit.arm - 1]}-rotating{'' if sum(orbit.winding) > 0 else '-back'}"
-    rest = np.concatenate([orbit.state[:n], np.zeros(n)])
+    resting_state = np.concatenate([orbit.state[:n], np.zeros(n)])
     winding = np.zeros(2 * n)
     winding[:n] = orbit.winding
     times = np.linspace(0.0, orbit.period, 2 * _FLOWN + 1)
     mirror = system.reversers[-1]
-    first = system.propagator.sample(orbit.state, times[: _FLOWN + 1])
+    first_half = system.propagator.sample(orbit.state, times[: _FLOWN + 1])
     # γ(1 - φ) = R γ(φ) + a whole turn.
-    second = (first[:-1][::-1] - rest) @ mirror.T + rest + winding * system.turn_lengths
-    states = np.vstack([first, second])
+    second_half = (first_half[:-1][::-1] - resting_state) @ mirror.T + resting_state + winding * system.turn_lengths
+    states = np.vstack([first_half, second_half])
     _, stms = system.propagator.flows_with_stm(states[:-1], np.diff(times))
     monodromy = np.eye(2 * n)
     for stm in stms:
@@ -103,7 +103,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> Hyperbo
         residual=orbit.residual,
         outcome=orbit.outcome,
         mirror=mirror,
-        rest=rest,
+        rest=resting_state,
         winding=winding,
         node_times=times,
         node_states=states,

@@ -82,10 +82,7 @@ class ExtendedOrbit(Brief, Concluded):
 
     @property
     def state(self) -> Extended:
-        """The state (N,) at the first marked node.
-
-        The node is on the first symbol's section or at phase zero.
-        """
+        """The state (N,) at the first marked node, on the first symbol's section or at phase zero."""
         return self.states[self.marked[0]]
 
     @property
@@ -95,14 +92,11 @@ class ExtendedOrbit(Brief, Concluded):
 
     @property
     def duration(self) -> Any:
-        """Time from the first node to the last, s.
-
-        The period of a periodic orbit.
-        """
+        """Time from the first node to the last, s; the period of a periodic orbit."""
         return self.times[-1] - self.times[0]
 
     def at(self, phase: Any) -> Extended:
-        """Return the lifted state (N,) of a periodic orbit.
+        """Return the lifted state (N,) of a periodic orbit at a phase, in extended precision.
 
         Args:
             phase: 113-bit real, 1 for a period.
@@ -157,21 +151,21 @@ def refine(
     height = extended(np.array(solution.energy if energy is None else energy))[()]
     if solution.ends is None:
         return _newton(solution, propagator, height, settings)
-    led, first = _lengthened(solution, solution.ends, settings)
-    assert led.ends is not None
-    known: dict[str, ExtendedOrbit] = {}
-    for end in led.ends:
+    lengthened, first = _lengthened(solution, solution.ends, settings)
+    assert lengthened.ends is not None
+    refined_orbits: dict[str, ExtendedOrbit] = {}
+    for end in lengthened.ends:
         vertex = end.manifold.orbit
-        if vertex.saddle not in known:
-            known[vertex.saddle] = refine_orbit(vertex, energy=height, propagator=propagator, settings=settings)
-    ends = tuple(known[end.manifold.orbit.saddle] for end in led.ends)
-    return _newton(led, propagator, height, settings, kept=slice(first, first + len(solution.states)), ends=ends)
+        if vertex.saddle not in refined_orbits:
+            refined_orbits[vertex.saddle] = refine_orbit(
+                vertex, energy=height, propagator=propagator, settings=settings
+            )
+    ends = tuple(refined_orbits[end.manifold.orbit.saddle] for end in lengthened.ends)
+    return _newton(lengthened, propagator, height, settings, kept=slice(first, first + len(solution.states)), ends=ends)
 
 
 def exact_position(system: System, state: Array) -> Extended:
-    """Return a resting state (N,) in extended precision.
-
-    Angles are whole multiples of π, the rest doubles.
+    """Return a resting state (N,) in extended precision: angles as whole multiples of π, the rest from doubles.
 
     Args:
         system: system of the state.
@@ -184,10 +178,7 @@ def exact_position(system: System, state: Array) -> Extended:
 
 
 def _exact_level(system: System, level: float) -> Any:
-    """Return the value of normal · x on a section.
-
-    Multiples of π are exact.
-    """
+    """Return a section's value of normal · x in extended precision, exact if it rounds to a multiple of π."""
     whole = np.rint(level / np.pi)
     if np.isfinite(system.periods).any() and abs(level / np.pi - whole) < 1e-12:
         return pi_times(whole)[()]
@@ -201,9 +192,7 @@ def refine_orbit(
     propagator: ExtendedPropagator | None = None,
     settings: RefinementSettings | None = None,
 ) -> ExtendedOrbit:
-    """Refine a periodic orbit as a closed orbit.
-
-    Its first node stays on its section.
+    """Return a periodic orbit refined as a closed orbit, with its first node on a plane of one coordinate.
 
     Args:
         orbit: orbit in doubles.
@@ -229,13 +218,13 @@ def refine_orbit(
         energy=orbit.energy,
         turn=orbit.turn,
     )
-    found = _newton(guess, propagator, energy, settings)
-    if not found.converged:
+    exact = _newton(guess, propagator, energy, settings)
+    if not exact.converged:
         raise GoalMissed(
-            f"the refinement of the periodic orbit {orbit.saddle} stops at a residual of {float(found.residual):.1e}; "
+            f"the refinement of the periodic orbit {orbit.saddle} stops at a residual of {float(exact.residual):.1e}; "
             "use double precision"
         )
-    return found
+    return exact
 
 
 def _newton(
@@ -247,77 +236,97 @@ def _newton(
     kept: slice = slice(None),
     ends: tuple[ExtendedOrbit, ...] = (),
 ) -> ExtendedOrbit:
-    """Return the best of the Newton steps with residuals in extended precision.
+    """Return the orbit of the best Newton step, with residuals in extended precision and steps in doubles.
 
-    Args:
-        kept: nodes whose correction is reported.
-        ends: refined periodic orbits of an open orbit.
+    Each step leaves about 1e-12 of the residual, and the iteration ends when rounding dominates.
+
+    `energy`: 113-bit real. `kept`: nodes whose correction is reported. `ends`: refined periodic orbits of an open
+    orbit.
     """
     from scipy.sparse.linalg import splu
 
     system, equations = guess.system, _ExactEquations(guess, propagator, energy, ends)
     amplitudes = extended(np.array([end.amplitude for end in guess.ends or ()]))
-    now = equations.placed(Unknowns(extended(guess.states), extended(guess.durations), amplitudes, extended(0.0)[()]))
-    best: tuple[Any, Unknowns] = (np.inf, now)
+    unknowns = equations.placed(
+        Unknowns(extended(guess.states), extended(guess.durations), amplitudes, extended(0.0)[()])
+    )
+    best: tuple[Any, Unknowns] = (np.inf, unknowns)
     iteration = 0
     for iteration in range(settings.iterations + 1):
         try:
-            flights = zip(now.states[:-1], now.durations, strict=True)
-            right = equations.residuals(now, arrived := np.array([propagator.flow(x, h) for x, h in flights]))
-            residual = equations.largest(now, arrived, right)
-            doubles, segments = now.states.astype(float), now.durations.astype(float)
-            flown, stms = system.propagator.flows_with_stm(doubles[:-1], segments)
+            flights = zip(unknowns.states[:-1], unknowns.durations, strict=True)
+            right_side = equations.residuals(unknowns, arrived := np.array([propagator.flow(x, h) for x, h in flights]))
+            residual = equations.largest(unknowns, arrived, right_side)
+            doubles, segments = unknowns.states.astype(float), unknowns.durations.astype(float)
+            double_ends, stms = system.propagator.flows_with_stm(doubles[:-1], segments)
         except ArithmeticError:
             break
         previous = best[0]
         if residual < previous:
-            best = (residual, now)
+            best = (residual, unknowns)
         if residual == 0 or residual > settings.stalled * previous or iteration == settings.iterations:
             break
-        matrix = equations.matrix(doubles, stms, flown)
+        matrix = equations.matrix(doubles, stms, double_ends)
         # The division keeps the right-hand side of order one for any residual.
-        scaled = (right / residual).astype(float) * equations.rows
-        now = equations.moved(now, extended(splu(matrix).solve(-scaled) * equations.columns) * residual)
-    residual, now = best
-    correction = float(np.abs(now.states[kept] - extended(guess.states[kept])).max())
+        scaled = (right_side / residual).astype(float) * equations.rows
+        unknowns = equations.moved(unknowns, extended(splu(matrix).solve(-scaled) * equations.columns) * residual)
+    residual, unknowns = best
+    correction = float(np.abs(unknowns.states[kept] - extended(guess.states[kept])).max())
     cause = RefinementCause.REFINED if residual <= settings.tolerance else RefinementCause.STALLED
     marked = np.array(sorted(guess.markers))
-    times = np.concatenate([extended(np.zeros(1)), np.cumsum(now.durations)])
+    times = np.concatenate([extended(np.zeros(1)), np.cumsum(unknowns.durations)])
     return ExtendedOrbit(
-        guess, propagator, times - times[marked[0]], now.states, marked, residual, correction, iteration, cause, ends
+        guess,
+        propagator,
+        times - times[marked[0]],
+        unknowns.states,
+        marked,
+        residual,
+        correction,
+        iteration,
+        cause,
+        ends,
     )
 
 
 class _ExactEquations(ShootingEquations):
-    """The equations in 113 bits.
-
-    This applies to levels of sections, ends, closure and energy.
-    """
+    """The equations of multiple shooting with sections' levels, ends, closure and energy in 113 bits."""
 
     numbers = staticmethod(extended)
 
     def __init__(
         self, guess: Guess, propagator: ExtendedPropagator, energy: Any, ends: tuple[ExtendedOrbit, ...]
     ) -> None:
+        """Set the equations.
+
+        Args:
+            guess: nodes, durations and conditions in doubles.
+            propagator: propagator in 113 bits.
+            energy: energy, 113-bit real.
+            ends: refined periodic orbits at the ends of an open orbit.
+        """
         super().__init__(guess)
         self.energy, self.hamiltonian = energy, propagator.energy
         self.levels = {node: _exact_level(guess.system, level) for node, level in self.levels.items()}
         self.turn = None if guess.turn is None else exact_position(guess.system, guess.turn)
         self.slopes = [extended(slope) for slope in self.slopes]
-        self.bases = [_base(end, known) for end, known in zip(guess.ends or (), ends, strict=True)]
+        self.bases = [_base(end, refined) for end, refined in zip(guess.ends or (), ends, strict=True)]
 
     def largest(self, now: Unknowns, arrived: Extended, right: Extended) -> Any:
-        """Return the largest gap, distance from a section or energy error."""
+        """Return the largest gap, distance from a section or energy error, by which the iteration is judged.
+
+        `arrived` (K, N): ends of the segments. `right`: residuals of `ShootingEquations.residuals`.
+        """
         first = now.states[0 if self.guess.closed else min(self.levels)]
-        off = right[self.n * self.count :][: self.nodes]
-        wrong = self.hamiltonian(first) - self.energy
-        return max(np.abs(arrived - now.states[1:]).max(), np.abs(off).max(), abs(wrong))
+        distances = right[self.n * self.count :][: self.nodes]
+        energy_error = self.hamiltonian(first) - self.energy
+        return max(np.abs(arrived - now.states[1:]).max(), np.abs(distances).max(), abs(energy_error))
 
 
 def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
-    """Return the lifted γ(φ) (N,) at the end's phase.
+    """Return the lifted γ(φ) (N,) at an end's phase, time-reversed for a stable manifold.
 
-    The state is time-reversed for a stable manifold.
+    `known`: the refined periodic orbit at this end.
     """
     orbit = end.manifold.orbit
     system = orbit.system
@@ -329,28 +338,28 @@ def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
 
 
 def _lengthened(guess: Guess, ends: tuple[ManifoldEnd, ManifoldEnd], settings: RefinementSettings) -> tuple[Guess, int]:
-    """Return an open orbit extended on both local manifolds.
+    """Return an open orbit that is extended on both local manifolds, and the number of nodes added in front.
 
-    The second value is the number of nodes added in front.
+    The amplitudes at its ends are then so small that the linear manifolds have no error above the tolerance.
     """
-    states, durations, owners, led_ends = [guess.states], [guess.durations], [guess.owners], []
+    states, durations, owners, moved_ends = [guess.states], [guess.durations], [guess.owners], []
     first = 0
-    for end, before in zip(ends, (True, False), strict=True):
+    for end, in_front in zip(ends, (True, False), strict=True):
         manifold = end.manifold
         step = manifold.orbit.period / settings.segments
         length = abs(end.amplitude) * float(manifold.frame(np.array([end.phase])).lengths[0])
         periods = max(0.0, np.log(length / settings.amplitude) / manifold.exponent)
         count = int(np.ceil(periods * settings.segments))
-        seconds = (-step if before else step) * np.arange(1.0, count + 1.0)
-        led = end.states(seconds)
-        led_ends.append(end.moved(float(seconds[-1])) if count else end)
-        owner = np.full(count, 0 if before else guess.owners[-1], dtype=np.intp)
-        if before:
+        seconds = (-step if in_front else step) * np.arange(1.0, count + 1.0)
+        added_states = end.states(seconds)
+        moved_ends.append(end.moved(float(seconds[-1])) if count else end)
+        added_owners = np.full(count, 0 if in_front else guess.owners[-1], dtype=np.intp)
+        if in_front:
             first = count
-        place = 0 if before else len(states)
-        states.insert(place, led[::-1] if before else led)
-        durations.insert(place, np.full(count, step))
-        owners.insert(place, owner)
+        index = 0 if in_front else len(states)
+        states.insert(index, added_states[::-1] if in_front else added_states)
+        durations.insert(index, np.full(count, step))
+        owners.insert(index, added_owners)
     return replace(
         guess,
         states=np.vstack(states),
@@ -358,5 +367,5 @@ def _lengthened(guess: Guess, ends: tuple[ManifoldEnd, ManifoldEnd], settings: R
         owners=np.concatenate(owners),
         markers={node + first: marker for node, marker in guess.markers.items()},
         joints=tuple(joint + first for joint in guess.joints),
-        ends=(led_ends[0], led_ends[1]),
+        ends=(moved_ends[0], moved_ends[1]),
     ), first

@@ -66,41 +66,36 @@ class ManifoldEnd(Brief):
 
     @property
     def orbit_phase(self) -> float:
-        """The asymptotic phase of the point on the periodic orbit."""
+        """The phase of the point of the periodic orbit that this end follows, 1 for a period; not reduced to [0, 1)."""
         if not self.stable:
             return self.phase
         orbit = self.manifold.orbit
-        turned = orbit.reverser @ (orbit.state - orbit.centre) + orbit.centre
+        reversed_start = orbit.reverser @ (orbit.state - orbit.centre) + orbit.centre
         # A reverser maps the start of the orbit to itself or to the point half a period later.
-        fixed = float(orbit.system.scaled_distance(turned, orbit.state)) < 1e-9
+        fixed = float(orbit.system.scaled_distance(reversed_start, orbit.state)) < 1e-9
         return (0.0 if fixed else 0.5) - self.phase
 
     def _periods(self, seconds: Any) -> Any:
-        """Return the change of the manifold's phase over a time, in periods.
-
-        Negative on a stable manifold.
-        """
+        """Return the change of the manifold's phase over a time, s, in periods; negative on a stable manifold."""
         return seconds / self.manifold.orbit.period * (-1.0 if self.stable else 1.0)
 
     def point(self) -> tuple[Array, Array]:
-        """Return the state (N,) and its derivative by amplitude (N,)."""
-        along = self.manifold.frame(np.array([self.phase])).vectors[0]
-        return self.states(np.zeros(1))[0], self.manifold.orbit.reverser @ along if self.stable else along
+        """Return the state (N,) of the end and its derivative (N,) by the amplitude, an unknown of the equations."""
+        vector = self.manifold.frame(np.array([self.phase])).vectors[0]
+        return self.states(np.zeros(1))[0], self.manifold.orbit.reverser @ vector if self.stable else vector
 
     def moved(self, seconds: float) -> "ManifoldEnd":
-        """Return the end moved along the flow.
+        """Return the end moved along the flow by a time: another phase and amplitude of the same trajectory.
 
         Args:
             seconds: time, s; backward if negative.
         """
         periods = self._periods(seconds)
-        grown = self.amplitude * float(np.exp(self.manifold.exponent * periods))
-        return replace(self, phase=self.phase + periods, amplitude=grown)
+        amplitude = self.amplitude * float(np.exp(self.manifold.exponent * periods))
+        return replace(self, phase=self.phase + periods, amplitude=amplitude)
 
     def states(self, seconds: Array) -> Array:
-        """Return states (K, N) on the manifold.
-
-        They follow from the linearised flow.
+        """Return states (K, N) of the trajectory through the end, which follow from the linearised flow.
 
         Args:
             seconds: times (K,) from the end, s.
@@ -142,36 +137,24 @@ class ShootingOrbit(Brief, Concluded):
 
     @property
     def closed(self) -> bool:
-        """True if the orbit is periodic.
-
-        Whole turns of its angles do not count.
-        """
+        """True if the orbit is periodic, apart from whole turns of its angles."""
         return self.turn is not None
 
     @property
     def start(self) -> ManifoldEnd:
-        """The first node of an open orbit.
-
-        It is on the local unstable manifold of the first periodic orbit.
-        """
+        """The first node of an open orbit, on the local unstable manifold of the first periodic orbit."""
         assert self.ends is not None
         return self.ends[0]
 
     @property
     def end(self) -> ManifoldEnd:
-        """The last node of an open orbit.
-
-        It is on the local stable manifold of the last periodic orbit.
-        """
+        """The last node of an open orbit, on the local stable manifold of the last periodic orbit."""
         assert self.ends is not None
         return self.ends[1]
 
     @property
     def duration(self) -> float:
-        """Time from the first node to the last, s.
-
-        The period of a closed orbit.
-        """
+        """Time from the first node to the last, s; the period of a closed orbit."""
         return float(self.times[-1] - self.times[0])
 
     def sample(self, times: Array) -> Array:
@@ -188,20 +171,22 @@ class ShootingOrbit(Brief, Concluded):
         rounds = np.zeros_like(times)
         if self.turn is not None:
             rounds = np.floor((times - self.times[0]) / self.duration)
-        wanted, inverse = np.unique(times - rounds * self.duration, return_inverse=True)
-        out = np.empty((len(wanted), self.system.dimension))
-        outside = np.zeros(len(wanted), dtype=bool)
+        distinct_times, indices = np.unique(times - rounds * self.duration, return_inverse=True)
+        distinct_states = np.empty((len(distinct_times), self.system.dimension))
+        outside = np.zeros(len(distinct_times), dtype=bool)
         if self.ends is not None:
-            before, after = wanted < self.times[0], wanted > self.times[-1]
-            outside = before | after
-            for where, end, time in zip((before, after), self.ends, self.times[[0, -1]], strict=True):
-                if where.any():
-                    out[where] = end.states(wanted[where] - time)
-        segment = np.clip(np.searchsorted(self.times, wanted, side="right") - 1, 0, len(self.times) - 2)
+            earlier, later_times = distinct_times < self.times[0], distinct_times > self.times[-1]
+            outside = earlier | later_times
+            for chosen, end, time in zip((earlier, later_times), self.ends, self.times[[0, -1]], strict=True):
+                if chosen.any():
+                    distinct_states[chosen] = end.states(distinct_times[chosen] - time)
+        segment = np.clip(np.searchsorted(self.times, distinct_times, side="right") - 1, 0, len(self.times) - 2)
         for k in np.unique(segment[~outside]):
-            where = np.flatnonzero((segment == k) & ~outside)
-            out[where] = self.system.propagator.sample(self.states[k], wanted[where] - self.times[k])
-        states = out[np.reshape(inverse, times.shape)]
+            chosen = np.flatnonzero((segment == k) & ~outside)
+            distinct_states[chosen] = self.system.propagator.sample(
+                self.states[k], distinct_times[chosen] - self.times[k]
+            )
+        states = distinct_states[np.reshape(indices, times.shape)]
         return states if self.turn is None else states + rounds[..., None] * self.turn
 
 
@@ -260,6 +245,11 @@ class ShootingEquations:
     numbers: Callable[[Any], Any] = staticmethod(np.asarray)
 
     def __init__(self, guess: Guess) -> None:
+        """Set the equations' constants, their unknowns' places and their scaling.
+
+        Args:
+            guess: nodes, durations and conditions.
+        """
         self.guess, self.system = guess, guess.system
         points = [(end, *end.point()) for end in guess.ends or ()]
         self.slopes: list[Any] = [slope for *_, slope in points]
@@ -288,9 +278,9 @@ class ShootingEquations:
         self._places()
 
     def _places(self) -> None:
-        """List the rows and columns of all entries.
+        """Set the rows and columns of the matrix's entries, in the order of `matrix`, and their scaling.
 
-        The order is that of `matrix`.
+        A block is a part of the matrix by its row, column, height and width.
         """
         n, count, closed = self.n, self.count, self.guess.closed
         # Open ends have no columns. The last node of a closed orbit shares the columns of the first.
@@ -306,14 +296,15 @@ class ShootingEquations:
             *([(self.size - 1, 0, 1, n)] if closed else ends),
             *((n * k, self.size - 1, n, 1) for k in self.unfolded),
         ]
-        places = [np.indices(shape).reshape(2, -1) + np.array([[row], [left]]) for row, left, *shape in blocks]
+        places = [
+            np.indices(shape).reshape(2, -1) + np.array([[first_row], [first_column]])
+            for first_row, first_column, *shape in blocks
+        ]
         self._row, self._col = np.hstack(places)
         self._scaling = self.rows[self._row] * self.columns[self._col]
 
     def normals(self, states: Array) -> Array:
-        """Return the normals (nodes, N) of inner nodes.
-
-        The normals are those of a section at marked nodes, else of the flow.
+        """Return the normals (nodes, N) of inner nodes' planes: of a section at marked nodes, else of the flow.
 
         Args:
             states: states (K + 1, N) of all nodes.
@@ -326,7 +317,7 @@ class ShootingEquations:
         return normals
 
     def matrix(self, states: Array, stms: Array, arrived: Array) -> Any:
-        """Return the scaled Jacobian from doubles.
+        """Return the scaled Jacobian of the residuals as a sparse matrix of doubles.
 
         Args:
             states: states (K + 1, N) of the nodes.
@@ -336,8 +327,13 @@ class ShootingEquations:
         from scipy.sparse import csc_array
 
         numeric = self.system.numeric
-        minus = np.tile(-np.eye(self.n).ravel(), len(self.arriving))
-        values = [stms[self.starting].ravel(), minus, numeric.rate(arrived).ravel(), self.normals(states).ravel()]
+        minus_identity = np.tile(-np.eye(self.n).ravel(), len(self.arriving))
+        values = [
+            stms[self.starting].ravel(),
+            minus_identity,
+            numeric.rate(arrived).ravel(),
+            self.normals(states).ravel(),
+        ]
         if self.guess.closed:
             values.append(numeric.gradient(states[0]))
         else:
@@ -347,9 +343,7 @@ class ShootingEquations:
         return csc_array((entries, (self._row, self._col)), shape=(self.size, self.size))
 
     def residuals(self, now: Unknowns, arrived: Array) -> Array:
-        """Return the unscaled residuals.
-
-        They are gaps, distances from marked sections, and the energy error of a closed orbit.
+        """Return the unscaled residuals: gaps, distances from marked sections, and the energy error of a closed orbit.
 
         Args:
             now: unknowns.
@@ -358,18 +352,18 @@ class ShootingEquations:
         numbers, gaps = self.numbers, arrived - now.states[1:]
         gradients = self.system.numeric.gradient(now.states[1:][self.unfolded].astype(float))
         gaps[self.unfolded] = gaps[self.unfolded] + numbers(gradients) * now.unfolding
-        off = numbers(np.zeros(self.nodes))
+        distances = numbers(np.zeros(self.nodes))
         for node, level in self.levels.items():
             normal = self.guess.markers[node][0]
             distance = numbers(normal) @ now.states[node] - level
-            off[node - self.first_node] = distance / numbers(np.linalg.norm(normal))
-        parts = [gaps.ravel(), off]
+            distances[node - self.first_node] = distance / numbers(np.linalg.norm(normal))
+        parts = [gaps.ravel(), distances]
         if self.guess.closed:
             parts.append(np.array([self.hamiltonian(now.states[0]) - self.energy]))
         return np.concatenate(parts)
 
     def moved(self, now: Unknowns, change: Array) -> Unknowns:
-        """Return the unknowns after a change of all, not scaled.
+        """Return the unknowns after a change of all of them, such as a damped Newton step.
 
         Args:
             now: unknowns.
@@ -396,16 +390,18 @@ class ShootingEquations:
         return unknowns
 
     def sizes(self, step: Array) -> Array:
-        """Return the largest scaled change (K,) of each node.
+        """Return the largest scaled change (K,) of each node, by which steps are measured.
 
         The segment after a node belongs to it. ε is left out.
 
         Args:
             step: scaled changes of all unknowns in one row.
         """
-        out = np.abs(step[self.states_end : self.durations_end])
-        out[self.inner] = np.maximum(out[self.inner], np.abs(step[: self.states_end]).reshape(-1, self.n).max(axis=1))
-        return out
+        changes = np.abs(step[self.states_end : self.durations_end])
+        changes[self.inner] = np.maximum(
+            changes[self.inner], np.abs(step[: self.states_end]).reshape(-1, self.n).max(axis=1)
+        )
+        return changes
 
 
 @dataclass(frozen=True)
@@ -460,9 +456,11 @@ class Shot(Brief):
 
 @dataclass(frozen=True)
 class _Linear:
-    """The linearised equations.
+    """The equations linearised at some unknowns, with their Newton step.
 
-    The Newton step, its length, and the symbol with the largest change.
+    `factors`, `matrix`: the scaled Jacobian, factorised and as it is. `step`: scaled changes of all unknowns in one
+    row; `length`: its largest entry. `fault`: index of the symbol with this entry. `residual`: largest gap at a node.
+    `stms` (K, N, N): of the segments.
     """
 
     factors: Any
@@ -476,9 +474,9 @@ class _Linear:
 
 @dataclass(frozen=True)
 class _Step:
-    """An accepted step.
+    """An accepted step: its end, its damping, its simplified step, and ω if it was long enough to show it.
 
-    Its end, damping and simplified step, and ω if it was long.
+    `simplified`: scaled Newton step from its end with the Jacobian of its begin, in one row.
     """
 
     unknowns: Unknowns
@@ -492,9 +490,7 @@ class _Lost(Exception):
 
 
 def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot:
-    """Refine a guess into an orbit by damped Newton steps.
-
-    The steps are on all unknowns.
+    """Return the orbit to which damped Newton steps on all unknowns lead from a guess.
 
     Args:
         guess: nodes, durations and ends.
@@ -503,36 +499,36 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     settings = settings or NewtonSettings()
     equations = ShootingEquations(guess)
     amplitudes = np.array([end.amplitude for end in guess.ends or ()])
-    now = equations.placed(Unknowns(guess.states.copy(), guess.durations.copy(), amplitudes, 0.0))
+    unknowns = equations.placed(Unknowns(guess.states.copy(), guess.durations.copy(), amplitudes, 0.0))
     linear: _Linear | None = None
-    taken: _Step | None = None
+    last_step: _Step | None = None
     lipschitz: float | None = None
     iteration, cause, lowest, fault, stalled = 0, ShootingCause.CONVERGED, np.inf, 0, 0
     try:
         for iteration in range(settings.iterations + 1):
-            before = linear
-            linear = _linearised(equations, now)
+            previous = linear
+            linear = _linearised(equations, unknowns)
             fault = linear.fault
-            done = linear.residual <= settings.tolerance
+            accurate = linear.residual <= settings.tolerance
             stalled = 0 if linear.residual < lowest / 2 else stalled + 1
             if (
-                (done and (linear.length <= settings.settled or linear.residual > lowest / 4))
+                (accurate and (linear.length <= settings.settled or linear.residual > lowest / 4))
                 or (stalled == settings.stalled and linear.length <= settings.certain)
                 or iteration == settings.iterations
             ):
                 break
             lowest = min(lowest, linear.residual)
-            first = 1.0 if taken is None or before is None else _predicted(equations, before, linear, taken)
+            first = 1.0 if last_step is None or previous is None else _predicted(equations, previous, linear, last_step)
             try:
-                taken = _step(equations, now, linear, first, settings)
+                last_step = _step(equations, unknowns, linear, first, settings)
             except _Lost:
-                if not done:
+                if not accurate:
                     raise
                 # The orbit is accurate to rounding, so no step improves it.
                 break
             # The first steps are far from the solution, and ω is needed near it.
-            lipschitz = lipschitz if taken.lipschitz is None else taken.lipschitz
-            now = taken.unknowns
+            lipschitz = lipschitz if last_step.lipschitz is None else last_step.lipschitz
+            unknowns = last_step.unknowns
     except _Lost as error:
         (cause,) = error.args
     except ArithmeticError:
@@ -540,20 +536,26 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     residual = np.inf if linear is None else linear.residual
     # During the iteration an amplitude may change its sign: it is so small that an error of the guess changes it, and
     # the next step changes it back.
-    crossed = (float(a) * end.amplitude <= 0 for a, end in zip(now.amplitudes, guess.ends or (), strict=True))
+    crossed = (
+        float(amplitude) * end.amplitude <= 0
+        for amplitude, end in zip(unknowns.amplitudes, guess.ends or (), strict=True)
+    )
     if cause is ShootingCause.CONVERGED and any(crossed):
         cause = ShootingCause.OTHER_SIDE
     elif cause is ShootingCause.CONVERGED and not residual <= settings.tolerance:
         cause = ShootingCause.ROUNDING if residual < 1e-6 else ShootingCause.ITERATIONS
     ends = None
     if guess.ends is not None:
-        first, last = (replace(e, amplitude=float(a)) for e, a in zip(guess.ends, now.amplitudes, strict=True))
+        first, last = (
+            replace(guess_end, amplitude=float(amplitude))
+            for guess_end, amplitude in zip(guess.ends, unknowns.amplitudes, strict=True)
+        )
         ends = (first, last)
-    times = np.concatenate([[0.0], np.cumsum(now.durations)])
+    times = np.concatenate([[0.0], np.cumsum(unknowns.durations)])
     times -= times[min(guess.markers, default=0)]
     return Shot(
         guess=guess,
-        orbit=ShootingOrbit(guess.system, times, now.states, ends, guess.turn, residual, iteration, cause),
+        orbit=ShootingOrbit(guess.system, times, unknowns.states, ends, guess.turn, residual, iteration, cause),
         correction=np.inf if linear is None else linear.length,
         lipschitz=lipschitz,
         condition=_condition(linear) if cause is ShootingCause.CONVERGED and linear is not None else np.inf,
@@ -563,17 +565,21 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
 
 
 def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
-    """Propagate all segments with their state-transition matrices and return the Newton step."""
+    """Return the linearised equations at the unknowns, after propagation of all segments with their matrices.
+
+    Raises:
+        _Lost: the Jacobian is singular.
+    """
     from scipy.sparse.linalg import splu
 
     arrived, stms = equations.system.propagator.flows_with_stm(now.states[:-1], now.durations)
-    right = equations.residuals(now, arrived) * equations.rows
+    right_side = equations.residuals(now, arrived) * equations.rows
     matrix = equations.matrix(now.states, stms, arrived)
     try:
         factors = splu(matrix)
     except RuntimeError:
         raise _Lost(ShootingCause.SINGULAR) from None
-    step = factors.solve(-right)
+    step = factors.solve(-right_side)
     sizes = equations.sizes(step)
     residual = float(np.abs(arrived - now.states[1:]).max())
     fault = int(equations.guess.owners[int(np.argmax(sizes))])
@@ -581,20 +587,29 @@ def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
 
 
 def _predicted(equations: ShootingEquations, before: _Linear, linear: _Linear, taken: _Step) -> float:
-    """Return the damping predicted from the last step's error.
+    """Return the damping of the next step that the last step's error predicts.
 
-    Source: NLEQ-ERR, equation 3.48.
+    `before`, `linear`: equations at the begin and the end of the step `taken`. The error is the difference of its
+    simplified step from the present Newton step. Source: NLEQ-ERR, equation 3.48.
     """
-    wrong, after = (float(equations.sizes(x).max()) for x in (taken.simplified - linear.step, taken.simplified))
-    if wrong == 0.0 or linear.length == 0.0:
+    error, simplified_length = (
+        float(equations.sizes(step).max()) for step in (taken.simplified - linear.step, taken.simplified)
+    )
+    if error == 0.0 or linear.length == 0.0:
         return 1.0
-    return min(1.0, before.length * after / (wrong * linear.length) * taken.damping)
+    return min(1.0, before.length * simplified_length / (error * linear.length) * taken.damping)
 
 
 def _step(
     equations: ShootingEquations, now: Unknowns, linear: _Linear, damping: float, settings: NewtonSettings
 ) -> _Step:
-    """Return the longest damped step that passes the natural monotonicity test."""
+    """Return the longest damped step that passes the natural monotonicity test.
+
+    `now`, `linear`: unknowns and linearised equations. `damping`: first damping that is tried, up to 1.
+
+    Raises:
+        _Lost: no damping above the smallest one passes.
+    """
     cause = ShootingCause.NO_STEP
     while damping >= settings.smallest_damping:
         trial = equations.moved(now, damping * linear.step * equations.columns)
@@ -604,29 +619,30 @@ def _step(
             damping /= 4
             continue
         try:
-            landed = equations.system.propagator.flows(trial.states[:-1], trial.durations)
+            ends = equations.system.propagator.flows(trial.states[:-1], trial.durations)
         except ArithmeticError:
             cause, damping = ShootingCause.DIVERGED, damping / 4
             continue
         cause = ShootingCause.NO_STEP
-        simplified = linear.factors.solve(-(equations.residuals(trial, landed) * equations.rows))
-        after, bent = (float(equations.sizes(x).max()) for x in (simplified, simplified - (1 - damping) * linear.step))
+        simplified = linear.factors.solve(-(equations.residuals(trial, ends) * equations.rows))
+        simplified_length, curvature_length = (
+            float(equations.sizes(step).max()) for step in (simplified, simplified - (1 - damping) * linear.step)
+        )
         length = damping * linear.length
         # Steps this short are good, but rounding errors could make the test reject them.
-        if after <= (1 - damping / 4) * linear.length or length <= settings.certain:
+        if simplified_length <= (1 - damping / 4) * linear.length or length <= settings.certain:
             # Below 1e-7 rounding errors hide the curvature of the equations.
-            return _Step(trial, damping, simplified, 2 * bent / length**2 if length > 1e-7 else None)
-        damping = min(damping / 2, damping * length / (2 * bent))
+            return _Step(trial, damping, simplified, 2 * curvature_length / length**2 if length > 1e-7 else None)
+        damping = min(damping / 2, damping * length / (2 * curvature_length))
     raise _Lost(cause)
 
 
 def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
-    """Return the 1-norm condition number of the scaled Jacobian.
+    """Return an estimate of the 1-norm condition number of the scaled Jacobian, for the error estimate.
 
-    The second value is a lower bound of the inverse's norm.
-
-    This is Higham & Tisseur's block algorithm (SIAM J. Matrix Anal. Appl. 21, 2000). The one in scipy uses the global
-    random generator, so its estimate of an orbit changes between calls.
+    The norm of the inverse is a lower bound from `rounds` of products with `columns` vectors. This is Higham &
+    Tisseur's block algorithm (SIAM J. Matrix Anal. Appl. 21, 2000). The one in scipy uses the global random generator,
+    so its estimate of an orbit changes between calls.
     """
     solve, size = linear.factors.solve, len(linear.step)
     probes = np.random.default_rng(0).choice([-1.0, 1.0], (size, columns)) / size
@@ -634,10 +650,10 @@ def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
     norm = 0.0
     for _ in range(rounds):
         images = solve(probes)
-        grown = float(np.abs(images).sum(axis=0).max())
-        if grown <= norm:
+        larger_norm = float(np.abs(images).sum(axis=0).max())
+        if larger_norm <= norm:
             break
-        norm = grown
+        norm = larger_norm
         # A unit vector attains the norm. Try those along which the sum of magnitudes grows fastest.
         slopes = np.abs(solve(np.where(images < 0, -1.0, 1.0), "T")).max(axis=1)
         probes = np.zeros((size, columns))
@@ -660,7 +676,7 @@ class ClosedMultipliers(Brief):
 
 
 def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
-    """Return the multipliers of a closed orbit.
+    """Return the unstable and the stable multiplier of a closed orbit as logarithms, since they can exceed all doubles.
 
     Power iteration runs forward for the unstable direction and backward for the stable one.
 
@@ -675,21 +691,18 @@ def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
 
 
 def _growth(matrices: Array) -> tuple[float, int]:
-    """Return the logarithm of a vector's growth in one round.
-
-    The second value is the sign of its direction.
-    """
+    """Return the logarithm of a vector's growth in one round of matrices (K, N, N), and the sign of the multiplier."""
     # The start has components in every direction. The dominant one gains λ² a round.
     vector = np.cos(np.arange(matrices.shape[1]) + 1.0)
-    before, total = vector, 0.0
+    previous, log_growth = vector, 0.0
     for _ in range(4):
-        before, total = vector, 0.0
+        previous, log_growth = vector, 0.0
         for matrix in matrices:
             vector = matrix @ vector
             length = float(np.linalg.norm(vector))
-            total += float(np.log(length))
+            log_growth += float(np.log(length))
             vector = vector / length
-    return total, int(np.sign(vector @ before))
+    return log_growth, int(np.sign(vector @ previous))
 
 
 @dataclass(frozen=True)
@@ -716,22 +729,22 @@ class ErrorEstimate(Brief):
 
 
 def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
-    """Return the error estimate of a converged shot.
+    """Return the error estimate of a converged shot: the distance of the true orbit, and figures that support it.
 
     Args:
         shot: solution with its guess.
         stops: the periodic orbits after its marked nodes.
     """
     guess, orbit = shot.guess, shot.orbit
-    h = None if shot.lipschitz is None else shot.lipschitz * shot.correction
+    kantorovich = None if shot.lipschitz is None else shot.lipschitz * shot.correction
     # Without ω, and below rounding errors, the radius is that of the last step.
     radius: float | None = shot.correction
-    if shot.lipschitz is not None and h is not None and h > 1e-8:
-        radius = float((1 - np.sqrt(1 - 2 * h)) / shot.lipschitz) if h < 0.5 else None
+    if shot.lipschitz is not None and kantorovich is not None and kantorovich > 1e-8:
+        radius = float((1 - np.sqrt(1 - 2 * kantorovich)) / shot.lipschitz) if kantorovich < 0.5 else None
     energies = guess.system.numeric.hamiltonian(orbit.states)
     return ErrorEstimate(
         condition=shot.condition,
-        kantorovich=h,
+        kantorovich=kantorovich,
         radius=radius,
         energy_error=float(np.max(np.abs(energies - guess.energy))),
         departure=float(np.max(np.abs(orbit.states - guess.states) / guess.system.scale)),
@@ -741,14 +754,14 @@ def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
 
 
 def _stop_distances(shot: Shot, stops: Sequence[LyapunovOrbit]) -> tuple[float, ...]:
-    """Return each stop's scaled distance from the nearest node.
+    """Return each stop's scaled distance of its periodic orbit from the nearest node, a figure of the error estimate.
 
-    The distance is that of the stop's periodic orbit.
+    A stop's nodes are those from its mark to the next one.
     """
     states, nodes = shot.orbit.states, sorted(shot.guess.markers)
     curves: dict[str, OrbitCurve] = {}
-    out = []
+    distances = []
     for first, last, orbit in zip(nodes, [*nodes[1:], len(states) - 1], stops, strict=False):
         curve = curves.setdefault(orbit.saddle, OrbitCurve(orbit))
-        out.append(float(curve.distances(states[first : last + 1])[1].min()))
-    return tuple(out)
+        distances.append(float(curve.distances(states[first : last + 1])[1].min()))
+    return tuple(distances)

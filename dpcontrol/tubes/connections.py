@@ -172,7 +172,7 @@ def described_connection(
     curves: tuple[OrbitCurve, OrbitCurve],
     settings: ConnectionSettings,
 ) -> Connection:
-    """Return a refined orbit as a connection.
+    """Return a refined orbit as a connection, with its name, symmetry, angle and flight times.
 
     Args:
         crossing: intersection of the cuts.
@@ -211,7 +211,7 @@ def described_connection(
 
 
 def angle_between(first: Array, second: Array) -> float:
-    """Return the angle between two tangents, deg (0 to 90).
+    """Return the angle between the tangents of two cuts, deg (0 to 90); a small one shows a nearby bifurcation.
 
     Args:
         first: tangent (2,), of any length.
@@ -222,7 +222,7 @@ def angle_between(first: Array, second: Array) -> float:
 
 
 def uncertainty(angle: float, least: float) -> float:
-    """Return the scaled position error of tubes that meet.
+    """Return the scaled position error of an intersection of two tubes, which grows as their angle falls.
 
     Args:
         angle: angle between the tubes, deg.
@@ -232,27 +232,30 @@ def uncertainty(angle: float, least: float) -> float:
 
 
 def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
-    """Return True if a reverser maps the orbit to itself."""
+    """Return True if a reverser maps the orbit to itself, since it meets the reverser's fixed set at its middle.
+
+    `middle`: expected time of the middle, s. `within`: largest scaled distance from the fixed set there.
+    """
     system, centre = orbit.system, orbit.start.manifold.orbit.centre
     for reverser in system.reversers:
-        turned_over, time, off = (np.eye(system.dimension) - reverser) / 2, middle, np.full(system.dimension, np.inf)
+        moved_part, time, offset = (np.eye(system.dimension) - reverser) / 2, middle, np.full(system.dimension, np.inf)
         for _ in range(4):
             state = orbit.sample(np.array([time]))[0]
-            off = turned_over @ (state - centre)
-            off = (off - system.nearest_turns(2 * off) * system.turn_lengths / 2) / system.scale
-            rate = turned_over @ system.numeric.rate(state) / system.scale
-            time -= float(off @ rate / (rate @ rate))
+            offset = moved_part @ (state - centre)
+            offset = (offset - system.nearest_turns(2 * offset) * system.turn_lengths / 2) / system.scale
+            rate = moved_part @ system.numeric.rate(state) / system.scale
+            time -= float(offset @ rate / (rate @ rate))
             if abs(time - middle) > _MIDDLE * orbit.start.manifold.orbit.period:
                 # Farther away, the periodic orbits themselves meet the fixed set.
                 break
         else:
-            if np.abs(off).max() < within:
+            if np.abs(offset).max() < within:
                 return True
     return False
 
 
 def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, distance: float) -> tuple[float, float]:
-    """Return time (s, positive) and phase of the first approach.
+    """Return the time, s, and the phase at which a connection from the section first comes near a periodic orbit.
 
     Args:
         orbit: connecting orbit, with time zero on the section.
@@ -262,14 +265,15 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, distance: float
     """
     from scipy.optimize import root_scalar
 
-    last = abs(orbit.times[-1] if sign > 0 else orbit.times[0])
-    grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 300))))
+    duration = abs(orbit.times[-1] if sign > 0 else orbit.times[0])
+    grid = np.linspace(0.0, duration, max(2, int(np.ceil(duration / curve.orbit.period * 300))))
     _, distances = curve.distances(orbit.sample(sign * grid))
     inside = np.flatnonzero(distances <= distance)
     if inside.size == 0:
         return float("nan"), float("nan")
 
     def nearest(seconds: Array) -> tuple[Array, Array]:
+        """Return phases (K,) and scaled distances (K,) of the periodic orbit's nearest points, after times (K,), s."""
         return curve.nearest(orbit.sample(sign * seconds))
 
     if inside[0] == 0:
@@ -278,11 +282,12 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, distance: float
     # may therefore lie a few grid steps earlier, never later.
     first, farther = int(inside[0]), np.empty(0, dtype=np.intp)
     while first > 1 and not farther.size:
-        before = np.arange(max(1, first - _BEFORE), first)
-        farther = before[nearest(grid[before])[1] > distance]
-        first = int(farther[-1]) + 1 if farther.size else int(before[0])
+        earlier = np.arange(max(1, first - _BEFORE), first)
+        farther = earlier[nearest(grid[earlier])[1] > distance]
+        first = int(farther[-1]) + 1 if farther.size else int(earlier[0])
 
     def excess(time: float) -> float:
+        """Return the logarithm of the distance over that of the approach, which is about linear in the time."""
         # Distances decrease exponentially.
         return float(np.log(nearest(np.array([time]))[1][0] / distance))
 
@@ -292,7 +297,7 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, distance: float
 
 
 def mirrored(connection: Connection) -> Connection:
-    """Return the mirror image, which has the opposite sense.
+    """Return the mirror image of a connection under the half turn, which has the opposite sense.
 
     Args:
         connection: connection between orbits with a half turn.
@@ -307,6 +312,7 @@ def mirrored(connection: Connection) -> Connection:
     end_turns = np.rint(symmetry @ np.asarray(orbit.end.turns) + shift / lengths) + 0.0
 
     def image(states: Array) -> Array:
+        """Return the images of states (…, N) under the symmetry."""
         return (states - source.centre) @ symmetry.T + source.centre
 
     start = replace(orbit.start, phase=orbit.start.phase + 0.5, amplitude=-orbit.start.amplitude)
@@ -330,7 +336,7 @@ def mirrored(connection: Connection) -> Connection:
 
 
 def can_be_reversed(system: System, source: str, target: str, *, section: Section | None = None) -> bool:
-    """Return True if time reversal preserves both saddles and the section.
+    """Return True if time reversal preserves both saddles and the section, so that one search serves both directions.
 
     Args:
         system: Hamiltonian system with reversers.
@@ -350,7 +356,7 @@ def can_be_reversed(system: System, source: str, target: str, *, section: Sectio
 
 
 def _reversed_phase(orbit: LyapunovOrbit, phase: float) -> float:
-    """Return the phase of A γ(φ) for the first reverser A.
+    """Return the phase of A γ(φ) for the first reverser A, which maps unstable tubes to stable tubes.
 
     Orbits start on the fixed set of the last reverser, half a period from that of the first.
     """
@@ -375,7 +381,7 @@ def reversed_in_time(connection: Connection) -> Connection:
     start = replace(orbit.end, stable=False, turns=(0.0,) * system.dimension)
     end = replace(orbit.start, stable=True, turns=tuple(float(k) for k in turns))
     states = orbit.states[::-1] @ reverser.T + lift
-    back = replace(
+    reversed_connection = replace(
         connection,
         source=source,
         target=target,
@@ -388,11 +394,11 @@ def reversed_in_time(connection: Connection) -> Connection:
         phase_in=_reversed_phase(target, connection.phase_out),
         orbit=replace(orbit, ends=(start, end), times=-orbit.times[::-1], states=states),
     )
-    return named(replace(back, sense=connection_sense(back)))
+    return named(replace(reversed_connection, sense=connection_sense(reversed_connection)))
 
 
 def connection_sense(connection: Connection) -> int:
-    """Return the sense (±1) of the rotation or of the crossing."""
+    """Return the sense (±1) of a connection: of its first arm that turns, or of its crossing of the section."""
     turns = [k for k in connection.winding if k]
     if turns and connection.source.saddle == connection.target.saddle:
         return int(np.sign(turns[0]))
@@ -409,10 +415,10 @@ def named(connection: Connection, *, at_energy: bool = False) -> Connection:
         connection: connection with any name.
         at_energy: True for a connection of such a family, default False.
     """
-    turns, (out, back) = ",".join(str(k) for k in connection.winding), connection.hits
+    turns, (out_hit, in_hit) = ",".join(str(k) for k in connection.winding), connection.hits
     if at_energy:
         saddle, energy = connection.source.name, connection.source.energy
-        return replace(connection, name=f"{saddle}>{saddle}[{turns}]h{out}.{back}@{energy:.6f}J")
+        return replace(connection, name=f"{saddle}>{saddle}[{turns}]h{out_hit}.{in_hit}@{energy:.6f}J")
     system, section, state = connection.source.system, connection.section, connection.state
     saddles = (connection.source.saddle, connection.target.saddle)
     coordinate = int(np.argmax(np.abs(section.position)))
@@ -420,9 +426,14 @@ def named(connection: Connection, *, at_energy: bool = False) -> Connection:
     if np.isfinite(period):
         position = position - np.rint(position / period) * period
     # Adding zero turns -0.0 into 0.0.
-    place = ",".join(f"{round(float(v), 4) + 0.0:.4f}" for v in (position, state[coordinate + len(state) // 2]))
-    on = "" if connection.section_key is None else f":{connection.section_key}"
-    return replace(connection, name=f"{saddles[0]}>{saddles[1]}[{turns}]h{out}.{back}{on}@{place}{section.mark(state)}")
+    place = ",".join(
+        f"{round(float(number), 4) + 0.0:.4f}" for number in (position, state[coordinate + len(state) // 2])
+    )
+    section_text = "" if connection.section_key is None else f":{connection.section_key}"
+    return replace(
+        connection,
+        name=f"{saddles[0]}>{saddles[1]}[{turns}]h{out_hit}.{in_hit}{section_text}@{place}{section.mark(state)}",
+    )
 
 
 _TANGENT = 1e-5  # scaled; a larger rounding error of an intersection may hide others near a bifurcation
@@ -471,7 +482,10 @@ class ConnectionSearch(Shown, Documented, Concluded):
     @property
     def tangent(self) -> int:
         """Number of connections whose tubes are tangent to rounding."""
-        return sum(uncertainty(c.transversality_angle, self.settings.same) > _TANGENT for c in self.connections)
+        return sum(
+            uncertainty(connection.transversality_angle, self.settings.same) > _TANGENT
+            for connection in self.connections
+        )
 
     @property
     def complete(self) -> bool:
@@ -661,6 +675,7 @@ def find_connections(
         same_tube = source is target and hits[0] == hits[1]
 
         def cut(which: int) -> Cut:
+            """Return the cut of the source's tube (0) or the target's (1)."""
             # Each tube leaves time for the other one and for the refinement.
             share, part = 0.4 * (which + 1), part_of(progress, 0.3 * which, 0.3 * (which + 1))
             part(f"tube of {(source, target)[which].saddle}", 0.0)
@@ -677,19 +692,20 @@ def find_connections(
     after_cuts = budget.share
 
     def spent_since() -> float:
+        """Return the share of the time after the cuts that has been spent, and report progress."""
         share = (budget.share - after_cuts) / max(1 - after_cuts, 1e-9)
         progress("intersections", 0.6 + 0.1 * min(share, 1.0))
         return share
 
-    met = intersect_cuts(system, section, manifolds, (unstable, backward), settings, spent=spent_since)
-    crossings, failed, unsearched = met.found, met.failed, met.left
+    intersections = intersect_cuts(system, section, manifolds, (unstable, backward), settings, spent=spent_since)
+    crossings, failed, unsearched = intersections.found, intersections.failed, intersections.left
     even = balanced(crossings, (unstable, backward))
-    finer = replace(settings, cut=replace(settings.cut, chord=settings.cut.chord / 2))
+    finer_settings = replace(settings, cut=replace(settings.cut, chord=settings.cut.chord / 2))
     # A finer search takes about twice as long.
-    if not even and finer.cut.chord >= settings.finest and budget.share < 1 / 4:
+    if not even and finer_settings.cut.chord >= settings.finest and budget.share < 1 / 4:
         # The cuts have folds thinner than the chord, which a finer polyline resolves.
         return find_connections(
-            source, target, hits=hits, section=section, settings=finer, budget=budget, progress=progress
+            source, target, hits=hits, section=section, settings=finer_settings, budget=budget, progress=progress
         )
     connections = []
     for k, crossing in enumerate(crossings):
@@ -722,16 +738,25 @@ def find_connections(
 
 
 def _sort(connections: list[Connection]) -> list[Connection]:
-    """Order connections in place by sense and position on their section."""
+    """Sort connections in place by sense and position on their section, for reproducible lists, and return them."""
     # Rounded positions make the order reproducible despite numerical noise.
-    connections.sort(key=lambda c: (-c.sense, *np.round(section_points(c.source.system, c.section, c.state), 6)))
+    connections.sort(
+        key=lambda connection: (
+            -connection.sense,
+            *np.round(section_points(connection.source.system, connection.section, connection.state), 6),
+        )
+    )
     return connections
 
 
 def _known(system: System, connection: Connection, connections: list[Connection], tolerance: float) -> bool:
-    """Return True for a repeated connection; pieces of scattered cuts overlap."""
+    """Return True if a connection is already in the list, because pieces of scattered cuts overlap.
+
+    `tolerance`: scaled distance of equal states for transversal tubes.
+    """
 
     def same(other: Connection) -> bool:
+        """Return True if another connection has the same winding, and the same state within its uncertainty."""
         flattest = min(other.transversality_angle, connection.transversality_angle)
         distance = float(system.scaled_distance(other.state, connection.state))
         return other.winding == connection.winding and distance < uncertainty(flattest, tolerance)
@@ -740,7 +765,7 @@ def _known(system: System, connection: Connection, connections: list[Connection]
 
 
 def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
-    """Refine by multiple shooting, with shorter segments after a failure."""
+    """Return an intersection's orbit by multiple shooting; after failures, by shooting with shorter segments."""
     orbit = _shot(crossing, settings)
     for shorter in (2, 4):
         if orbit.converged:
@@ -750,7 +775,10 @@ def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOr
 
 
 def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
-    """Refine by multiple shooting, with time zero on the section."""
+    """Return an intersection's orbit by multiple shooting, with time zero on the section; it may not converge.
+
+    The guess consists of the linear manifolds near both periodic orbits and of the tubes' trajectories to the section.
+    """
     ends, times, states = [], [], []
     for side, phase, flight in zip(crossing.sides, crossing.phases, crossing.times, strict=True):
         manifold = side.manifold
@@ -761,22 +789,28 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
         # Here time runs from the seed to the section for both tubes.
         sign = -1.0 if side.stable else 1.0
         count = max(2, int(np.ceil(flight / period * settings.segments)))
-        out = max(settings.lead, float(np.log(manifold.distance / settings.farthest)) / manifold.exponent)
-        out = min(out, float(np.log(manifold.distance / settings.nearest)) / manifold.exponent)
-        lead = np.linspace(-out * period, 0.0, max(1, int(np.ceil(out * settings.segments))) + 1)[:-1]
-        along = np.linspace(0.0, flight, count + 1)
+        periods_before_seed = max(
+            settings.lead, float(np.log(manifold.distance / settings.farthest)) / manifold.exponent
+        )
+        periods_before_seed = min(
+            periods_before_seed, float(np.log(manifold.distance / settings.nearest)) / manifold.exponent
+        )
+        lead = np.linspace(
+            -periods_before_seed * period, 0.0, max(1, int(np.ceil(periods_before_seed * settings.segments))) + 1
+        )[:-1]
+        flight_times = np.linspace(0.0, flight, count + 1)
         seeds, _ = manifold.seeds(np.array([phase]), side.branch)
-        tube_states = side.turned(system.propagator.sample(seeds[0], along)) + turns * system.turn_lengths
-        times.append(sign * (np.concatenate([lead, along]) - flight))
+        tube_states = side.turned(system.propagator.sample(seeds[0], flight_times)) + turns * system.turn_lengths
+        times.append(sign * (np.concatenate([lead, flight_times]) - flight))
         states.append(np.vstack([seed_end.states(sign * lead), tube_states]))
-        ends.append(seed_end.moved(-sign * out * period))
+        ends.append(seed_end.moved(-sign * periods_before_seed * period))
     orbit, section = crossing.sides[0].manifold.orbit, crossing.sides[0].section
-    guessed = np.concatenate([times[0], times[1][::-1][1:]])
+    guess_times = np.concatenate([times[0], times[1][::-1][1:]])
     guess = Guess(
         system=orbit.system,
         states=np.vstack([states[0], states[1][::-1][1:]]),
-        durations=np.diff(guessed),
-        owners=np.zeros(len(guessed), dtype=np.intp),
+        durations=np.diff(guess_times),
+        owners=np.zeros(len(guess_times), dtype=np.intp),
         # The exact section, so that the rounding of the propagated crossing has no effect on the states.
         markers={len(times[0]) - 1: (np.asarray(section.normal), section.level(states[0][-1]))},
         energy=orbit.energy,
@@ -786,7 +820,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
 
 
 def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
-    """Return the time-reversed search, from target to source.
+    """Return the search from target to source, by time reversal of a search from source to target.
 
     Args:
         search: search on a section that time reversal preserves.
@@ -815,7 +849,7 @@ _EDGE = 1e-6  # rounding tolerance of whole-number phases
 def find_lap_connections(
     source: LyapunovOrbit, target: LyapunovOrbit, *, section: Section, crossing: int
 ) -> ConnectionSearch:
-    """Find connections of an orbit that crosses the section itself.
+    """Find connections of an orbit that crosses the section itself, at a crossing on one of its laps.
 
     One of the two orbits must cross the section and the other must not. The first crossing of the other tube is used.
 
@@ -859,14 +893,17 @@ def find_lap_connections(
     connections: list[Connection] = []
     for connection in search.connections:
         canonical = _canonical(connection)
-        matches = (float(source.system.scaled_distance(canonical.state, c.state)) < settings.same for c in connections)
+        matches = (
+            float(source.system.scaled_distance(canonical.state, earlier.state)) < settings.same
+            for earlier in connections
+        )
         if not any(matches):
             connections.append(canonical)
     return replace(search, connections=tuple(_sort(connections)), cause=SearchCause.LAPS, first=crossing)
 
 
 def grown_crossing(orbit: LyapunovOrbit, section: Section) -> int:
-    """Return the last crossing before a tube becomes large.
+    """Return the last crossing before a rotating orbit's tube becomes large, at which a search of its laps begins.
 
     The limit of its scaled distance is about 0.4.
 
@@ -875,14 +912,14 @@ def grown_crossing(orbit: LyapunovOrbit, section: Section) -> int:
         section: section of the orbit's system.
     """
     manifold, phases = local_manifold(orbit, ConnectionSettings().distance), np.arange(_PROBED) / _PROBED
-    away = (manifold.seeds(phases, 1)[0] - manifold.frame(phases).states) / orbit.system.scale
+    offsets = (manifold.seeds(phases, 1)[0] - manifold.frame(phases).states) / orbit.system.scale
     # Seeds may be nearer than `distance`, so that no trajectory is sampled twice.
-    laps = float(np.log(_LARGE / np.linalg.norm(away, axis=1).min())) / manifold.exponent
+    laps = float(np.log(_LARGE / np.linalg.norm(offsets, axis=1).min())) / manifold.exponent
     return max(1, int(laps * own_crossings(OrbitCurve(orbit), section)))
 
 
 def own_crossings(curve: OrbitCurve, section: Section) -> int:
-    """Return the number of an orbit's section crossings per period.
+    """Return the number of times that an orbit itself crosses a section in a period.
 
     Args:
         curve: curve of the periodic orbit.
@@ -893,7 +930,11 @@ def own_crossings(curve: OrbitCurve, section: Section) -> int:
 
 
 def _canonical(connection: Connection) -> Connection:
-    """Return a connection with the rotating orbit's phase reduced to [0, 1)."""
+    """Return a connection with the rotating orbit's phase reduced to [0, 1), so that the same connection has one form.
+
+    The two tubes meet on every lap of the rotating orbit, and each lap gives the same connection with another phase and
+    winding.
+    """
     source, target, orbit = connection.source, connection.target, connection.orbit
     system = source.system
     start, end, states = orbit.start, orbit.end, orbit.states
@@ -901,18 +942,18 @@ def _canonical(connection: Connection) -> Connection:
     rounds = int(np.floor(start.orbit_phase - float(orbit.times[0]) / source.period + _EDGE))
     if source.laps and rounds:
         # After whole periods, γ(φ) equals γ(φ - rounds) on another lift, so phases determine the start.
-        back = source.whole_turns * rounds
+        start_turns = source.whole_turns * rounds
         start = replace(start, phase=start.phase - rounds, amplitude=start.amplitude * _sign(source) ** rounds)
-        states, state = states - back * system.turn_lengths, state - back * system.turn_lengths
-        end = replace(end, turns=tuple(float(k) for k in np.asarray(end.turns) - back))
+        states, state = states - start_turns * system.turn_lengths, state - start_turns * system.turn_lengths
+        end = replace(end, turns=tuple(float(k) for k in np.asarray(end.turns) - start_turns))
     rounds = int(np.floor(end.orbit_phase - float(orbit.times[-1]) / target.period + _EDGE))
     if target.laps and rounds:
-        on = target.whole_turns * rounds
+        end_turns = target.whole_turns * rounds
         end = replace(
             end,
             phase=end.phase + rounds,
             amplitude=end.amplitude * _sign(target) ** rounds,
-            turns=tuple(float(k) for k in np.asarray(end.turns) + on),
+            turns=tuple(float(k) for k in np.asarray(end.turns) + end_turns),
         )
     orbit = replace(orbit, ends=(start, end), states=states)
     return named(
@@ -927,13 +968,14 @@ def _canonical(connection: Connection) -> Connection:
 
 
 def _sign(orbit: LyapunovOrbit) -> int:
+    """Return the sign of the unstable multiplier; a negative one exchanges the branches on each period."""
     return int(np.sign(orbit.unstable_multiplier))
 
 
 def _hits_since(orbit: ShootingOrbit, connection: Connection) -> tuple[int, int]:
-    """Return the crossing numbers between departure and arrival.
+    """Return the crossing numbers of both tubes between the connection's departure and its arrival.
 
-    Departure and arrival follow from the connection's flight times. The seeds themselves still lap with the orbit.
+    They count from its flight times, since the seeds of a rotating orbit still cross the section on each lap.
     """
     section, counts = connection.section, []
     for sign, reach, orbit_end in (

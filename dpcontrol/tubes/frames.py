@@ -15,7 +15,7 @@ from dpcontrol.shooting.newton import ShootingOrbit
 
 
 def directions(system: System, states: Array, stms: Array, *, closed: bool, first: Array, last: Array) -> Array:
-    """Return bases (K, N, N) of the nodes' sections, in doubles.
+    """Return bases (K, N, N) of the nodes' sections, in doubles, in which proofs enclose the flow.
 
     The columns are u, s, f, w. In scaled coordinates, u, s and w are orthogonal to the flow, and u and s lie in the
     tangent plane of the energy surface.
@@ -31,34 +31,33 @@ def directions(system: System, states: Array, stms: Array, *, closed: bool, firs
     scale, numeric, count = system.scale, system.numeric, len(states)
     flow = numeric.rate(states) / scale
     flow = flow / np.linalg.norm(flow, axis=1, keepdims=True)
-    steep = numeric.gradient(states) * scale
-    steep = steep / np.linalg.norm(steep, axis=1, keepdims=True)
+    energy_gradient = numeric.gradient(states) * scale
+    energy_gradient = energy_gradient / np.linalg.norm(energy_gradient, axis=1, keepdims=True)
     scaled = stms * scale / scale[:, None]
 
     def along(k: int, vector: Array) -> Array:
+        """Return a scaled direction (N,) at node k without its parts along flow and energy gradient, of length one."""
         flat = vector - flow[k] * (flow[k] @ vector)
-        flat = flat - steep[k] * (steep[k] @ flat)
+        flat = flat - energy_gradient[k] * (energy_gradient[k] @ flat)
         return np.asarray(flat / np.linalg.norm(flat))
 
     grows, shrinks = np.empty((count, states.shape[1])), np.empty((count, states.shape[1]))
-    rounds = 4 if closed else 1
+    passes = 4 if closed else 1
     vector = along(0, first / scale)
-    for k in range(rounds * count - (not closed)):
+    for k in range(passes * count - (not closed)):
         grows[k % count] = vector
         vector = along((k + 1) % count, scaled[k % count] @ vector)
     grows[-1 if not closed else 0] = vector
     vector = along(count - 1, last / scale)
-    for k in reversed(range(rounds * count - (not closed))):
+    for k in reversed(range(passes * count - (not closed))):
         shrinks[(k + 1) % count] = vector
         vector = along(k % count, np.linalg.solve(scaled[k % count], vector))
     shrinks[0] = vector
-    return np.stack([grows, shrinks, flow, steep], axis=2) * scale[:, None]
+    return np.stack([grows, shrinks, flow, energy_gradient], axis=2) * scale[:, None]
 
 
 def closed_frames(system: System, states: Array, durations: Array) -> tuple[Array, Array]:
-    """Return bases and growth factors along a closed orbit.
-
-    The shapes are (K + 1, N, N) and (K, 2).
+    """Return bases (K + 1, N, N) and growth factors (K, 2) along a closed orbit, for the proofs' enclosures.
 
     Args:
         system: system of the orbit.
@@ -73,7 +72,7 @@ def closed_frames(system: System, states: Array, durations: Array) -> tuple[Arra
 
 
 def growth(bases: Array, stms: Array) -> Array:
-    """Return the growth factors (K, 2) of u and s.
+    """Return the growth factors (K, 2) of u and s from each node to the next.
 
     Args:
         bases: bases (K + 1, N, N) at the nodes.
@@ -84,9 +83,7 @@ def growth(bases: Array, stms: Array) -> Array:
 
 
 def node_count(orbit: LyapunovOrbit) -> int:
-    """Return the number of nodes for an orbit.
-
-    The orbit stretches by about two between them.
+    """Return the number of nodes for an orbit, between which it stretches by about two.
 
     Args:
         orbit: hyperbolic orbit.
@@ -95,18 +92,18 @@ def node_count(orbit: LyapunovOrbit) -> int:
 
 
 def orbit_nodes(orbit: LyapunovOrbit, count: int) -> tuple[Array, Array]:
-    """Return nodes (K, N) of an orbit and their durations (K,).
+    """Return nodes (K, N) of an orbit at equal times, and the durations (K,) between them, s.
 
-    The nodes are at equal times. Durations are in s. Each node is reached from the orbit's state by the shorter way, so
-    that errors grow by the root of the multiplier only.
+    Each node is reached from the orbit's state by the shorter way, so that errors grow by the root of the multiplier
+    only.
 
     Args:
         orbit: periodic orbit.
         count: number K of nodes.
     """
     flow, step = orbit.system.propagator.flow, orbit.period / count
-    ways = (k if 2 * k <= count else k - count for k in range(count))
-    return np.array([flow(orbit.state, step * k) for k in ways]), np.full(count, step)
+    offsets = (k if 2 * k <= count else k - count for k in range(count))
+    return np.array([flow(orbit.state, step * k) for k in offsets]), np.full(count, step)
 
 
 def phased_times(
@@ -123,20 +120,20 @@ def phased_times(
         radius: scaled distance from the orbits.
     """
     ends, steps = [], [stop.period / node_count(stop) for stop in stops]
-    for end, at, sign in ((orbit.start, orbit.times[0], 1), (orbit.end, orbit.times[-1], -1)):
-        around = end.manifold.orbit
-        system, count = around.system, node_count(around)
+    for end, end_time, sign in ((orbit.start, orbit.times[0], 1), (orbit.end, orbit.times[-1], -1)):
+        periodic_orbit = end.manifold.orbit
+        system, count = periodic_orbit.system, node_count(periodic_orbit)
         phase = end.orbit_phase
-        lifted = system.propagator.flow(around.state, (phase % 1.0) * around.period)
+        lifted = system.propagator.flow(periodic_orbit.state, (phase % 1.0) * periodic_orbit.period)
         lifted = lifted + np.asarray(end.turns) * system.turn_lengths
-        gap = np.linalg.norm((orbit.sample(np.array([at]))[0] - lifted) / system.scale)
-        rounds = np.log(gap / (radius / 2)) / np.log(abs(around.unstable_multiplier))
+        gap = np.linalg.norm((orbit.sample(np.array([end_time]))[0] - lifted) / system.scale)
+        rounds = np.log(gap / (radius / 2)) / np.log(abs(periodic_orbit.unstable_multiplier))
         node = np.floor(sign * (phase - sign * rounds) * count) * sign
-        ends.append((float(at + (node / count - phase) * around.period), int(node) % count))
+        ends.append((float(end_time + (node / count - phase) * periodic_orbit.period), int(node) % count))
     (start, first), (stop, last) = ends
     edges = np.array([start, *marks, stop])
     parts = [
-        np.linspace(a, b, int(np.ceil((b - a) / step)) + 1)[1:]
-        for a, b, step in zip(edges[:-1], edges[1:], steps, strict=True)
+        np.linspace(begin, finish, int(np.ceil((finish - begin) / step)) + 1)[1:]
+        for begin, finish, step in zip(edges[:-1], edges[1:], steps, strict=True)
     ]
     return np.concatenate([[start], *parts]), first, last

@@ -34,7 +34,7 @@ _STRETCH = 8
 
 
 def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]:
-    """Return the crossings (i + s, j + t) of two polylines.
+    """Return the crossings (i + s, j + t) of two polylines, guesses for the intersections of two cuts.
 
     Segment i of the first crosses segment j of the second, at fractions s and t in [0, 1) of their lengths.
 
@@ -42,30 +42,40 @@ def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]
         first: vertices (K, 2).
         second: vertices (L, 2).
     """
-    a, b = first[:-1], second[:-1]
-    da, db = np.diff(first, axis=0), np.diff(second, axis=0)
-    low, high = np.minimum(b, second[1:]), np.maximum(b, second[1:])
-    starts = np.arange(0, len(b), _BLOCK)
+    first_starts, second_starts = first[:-1], second[:-1]
+    first_steps, second_steps = np.diff(first, axis=0), np.diff(second, axis=0)
+    low, high = np.minimum(second_starts, second[1:]), np.maximum(second_starts, second[1:])
+    starts = np.arange(0, len(second_starts), _BLOCK)
     blocks = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
     # The margin exceeds the effect of rounding on a crossing.
     margin = 1e-9 * max(float(np.abs(first).max(initial=0.0)), float(np.abs(second).max(initial=0.0)))
     crossings: list[tuple[float, float]] = []
-    for start in range(0, len(a), _BLOCK):
+    for start in range(0, len(first_starts), _BLOCK):
         part = slice(start, start + _BLOCK)
         box = first[start : start + _BLOCK + 1]
-        least, most = box.min(axis=0) - margin, box.max(axis=0) + margin
-        within = np.repeat(((blocks[0] <= most) & (blocks[1] >= least)).all(axis=1), _BLOCK)[: len(b)]
-        nearby = np.flatnonzero(within)
-        nearby = nearby[((low[nearby] <= most) & (high[nearby] >= least)).all(axis=1)]
+        box_low, box_high = box.min(axis=0) - margin, box.max(axis=0) + margin
+        in_block = np.repeat(((blocks[0] <= box_high) & (blocks[1] >= box_low)).all(axis=1), _BLOCK)[
+            : len(second_starts)
+        ]
+        nearby = np.flatnonzero(in_block)
+        nearby = nearby[((low[nearby] <= box_high) & (high[nearby] >= box_low)).all(axis=1)]
         if not nearby.size:
             continue
-        cross = da[part, None, 0] * db[None, nearby, 1] - da[part, None, 1] * db[None, nearby, 0]
-        gap = b[None, nearby, :] - a[part, None, :]
+        cross = (
+            first_steps[part, None, 0] * second_steps[None, nearby, 1]
+            - first_steps[part, None, 1] * second_steps[None, nearby, 0]
+        )
+        gap = second_starts[None, nearby, :] - first_starts[part, None, :]
         with np.errstate(divide="ignore", invalid="ignore"):
-            s = (gap[..., 0] * db[None, nearby, 1] - gap[..., 1] * db[None, nearby, 0]) / cross
-            t = (gap[..., 0] * da[part, None, 1] - gap[..., 1] * da[part, None, 0]) / cross
-        hits = (cross != 0) & (s >= 0) & (s < 1) & (t >= 0) & (t < 1)
-        crossings += [(start + i + float(s[i, j]), int(nearby[j]) + float(t[i, j])) for i, j in np.argwhere(hits)]
+            first_share = (
+                gap[..., 0] * second_steps[None, nearby, 1] - gap[..., 1] * second_steps[None, nearby, 0]
+            ) / cross
+            second_share = (gap[..., 0] * first_steps[part, None, 1] - gap[..., 1] * first_steps[part, None, 0]) / cross
+        hits = (cross != 0) & (first_share >= 0) & (first_share < 1) & (second_share >= 0) & (second_share < 1)
+        crossings += [
+            (start + i + float(first_share[i, j]), int(nearby[j]) + float(second_share[i, j]))
+            for i, j in np.argwhere(hits)
+        ]
     return crossings
 
 
@@ -95,33 +105,33 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
         to_segment(first, second[nearest - 1], second[nearest]),
         to_segment(first, second[nearest], second[nearest + 1]),
     )
-    allowed = margin * (bends[0] + bends[1][nearest])
+    touching_distance = margin * (bends[0] + bends[1][nearest])
     # Neighbours near another stretch of the second curve are irrelevant here.
-    along = np.abs(np.diff(nearest)) <= _STRETCH
-    before = np.r_[np.inf, np.where(along, distance[:-1], np.inf)]
-    after = np.r_[np.where(along, distance[1:], np.inf), np.inf]
-    lowest = (distance <= allowed) & (distance <= before) & (distance <= after)
+    consecutive = np.abs(np.diff(nearest)) <= _STRETCH
+    previous_distance = np.r_[np.inf, np.where(consecutive, distance[:-1], np.inf)]
+    next_distance = np.r_[np.where(consecutive, distance[1:], np.inf), np.inf]
+    lowest = (distance <= touching_distance) & (distance <= previous_distance) & (distance <= next_distance)
     return [(float(i), float(nearest[i])) for i in np.flatnonzero(lowest)]
 
 
 def _sagitta(curve: Array) -> Array:
-    """Return an eighth of the second difference at each vertex (K,)."""
+    """Return an eighth of the second difference at each vertex (K,): a smooth curve's distance from its polyline."""
     inner = np.linalg.norm(curve[:-2] - 2 * curve[1:-1] + curve[2:], axis=1) / 8
     return np.r_[inner[:1], inner, inner[-1:]]
 
 
 def to_segment(points: Array, start: Array, end: Array) -> Array:
-    """Return the distance (K,) of each point to its segment.
+    """Return the distance (K,) of each point from its segment.
 
     Args:
         points: points (K, 2).
         start: starts (K, 2) of the segments, or (2,) of one.
         end: ends (K, 2) of the segments, or (2,) of one.
     """
-    along = end - start
-    length = np.maximum(np.sum(along**2, axis=-1), np.finfo(float).tiny)
-    share = np.clip(np.sum((points - start) * along, axis=1) / length, 0.0, 1.0)
-    return np.linalg.norm(points - start - share[:, None] * along, axis=1)
+    segment = end - start
+    length = np.maximum(np.sum(segment**2, axis=-1), np.finfo(float).tiny)
+    share = np.clip(np.sum((points - start) * segment, axis=1) / length, 0.0, 1.0)
+    return np.linalg.norm(points - start - share[:, None] * segment, axis=1)
 
 
 _PLACED, _SOLVED, _PAIRED = 0.25, 0.5, 0.6  # deadlines of the steps, as shares of the time left after the cuts
@@ -204,7 +214,7 @@ class TubeSide:
     longest: float
 
     def turned(self, states: Array) -> Array:
-        """Map states of the unstable tube to this tube.
+        """Return states of the unstable tube on this tube: unchanged, or reflected onto the stable one.
 
         Args:
             states: states (…, N).
@@ -215,7 +225,7 @@ class TubeSide:
         return (states - centre) @ reverser.T + centre
 
     def arrive(self, phases: Array) -> tuple[Array, Array, tuple[Array, Array]]:
-        """Propagate the seeds at given phases to the section.
+        """Return the states and times at which the tube's trajectories from given phases reach the section.
 
         Args:
             phases: phases (K,) of the orbit, 1 for a period.
@@ -229,7 +239,7 @@ class TubeSide:
         return self.turned(states), times, seeds
 
     def slopes(self, seeds: tuple[Array, Array], states: Array, times: Array) -> Array:
-        """Return the derivatives (K, N) of arrival states by phase.
+        """Return the derivatives (K, N) of arrival states by phase, along the section, for Newton's method.
 
         Args:
             seeds: seeds and their derivatives by phase, (K, N) each.
@@ -237,12 +247,12 @@ class TubeSide:
             times: flight times (K,), s.
         """
         system = self.manifold.orbit.system
-        _, grown = system.propagator.flows_with_tangents(seeds[0], times, seeds[1])
+        _, tangents = system.propagator.flows_with_tangents(seeds[0], times, seeds[1])
         normal = np.asarray(self.section.normal)
         if self.stable:
-            grown = grown @ self.manifold.orbit.reverser.T
+            tangents = tangents @ self.manifold.orbit.reverser.T
         rates = system.numeric.rate(states)
-        return grown - rates * ((grown @ normal) / (rates @ normal))[:, None]
+        return tangents - rates * ((tangents @ normal) / (rates @ normal))[:, None]
 
 
 @dataclass(frozen=True)
@@ -302,7 +312,7 @@ class _Place:
         return min(_FARTHEST, 20 * max(float(span[-1] - span[0]) for span in self.spans))
 
     def holds(self, phases: Array) -> bool:
-        """Return True if phases (2,) lie within both cuts' ranges."""
+        """Return True if phases (2,) lie within the ranges of both cuts here; others belong to another place."""
         return all(span[0] <= phase <= span[-1] for span, phase in zip(self.spans, phases, strict=True))
 
 
@@ -320,13 +330,13 @@ class _Pair:
         return min(float(np.diff(piece.phases).max()) for piece in self.pieces)
 
     def places(self) -> list[_Place]:
-        """Return the places at which the pieces meet."""
+        """Return the places at which the pieces meet, with their phases interpolated on the polylines."""
         first, second = self.pieces
         return [
             _Place(
                 self.sides,
-                np.array([np.interp(k, np.arange(len(p.phases)), p.phases)
-                          for k, p in zip(at, self.pieces, strict=True)]),
+                np.array([np.interp(vertex, np.arange(len(piece.phases)), piece.phases)
+                          for vertex, piece in zip(at, self.pieces, strict=True)]),
                 (_span(first, at[0]), _span(second, at[1])),
                 self.shift,
                 sure,
@@ -349,7 +359,7 @@ def intersect_cuts(
     *,
     spent: Spent = lambda: 0.0,
 ) -> Crossings:
-    """Return the distinct intersections of two cuts.
+    """Return the distinct intersections of two cuts, refined by Newton's method.
 
     If a symmetry exchanges the branches, only one branch of the unstable tube is searched.
 
@@ -361,12 +371,19 @@ def intersect_cuts(
         settings: settings of the search.
         spent: see `Spent`.
     """
-    mirrored = all(m.branches_are_mirrored for m in manifolds)
+    mirrored = all(manifold.branches_are_mirrored for manifold in manifolds)
     pairs: list[_Pair] = []
     for branches in ((1, 1), (1, -1)) if mirrored else ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         sides = tuple(
-            TubeSide(m, section, k == 1, cuts[k].hit, branches[k], 2 * longest_flight(m, settings.cut) * m.orbit.period)
-            for k, m in enumerate(manifolds)
+            TubeSide(
+                manifold,
+                section,
+                k == 1,
+                cuts[k].hit,
+                branches[k],
+                2 * longest_flight(manifold, settings.cut) * manifold.orbit.period,
+            )
+            for k, manifold in enumerate(manifolds)
         )
         pairs += _pairs(system, (sides[0], sides[1]), cuts, settings)
     # Coarse pieces come first in case time runs out, because tubes that scatter have ever finer pieces.
@@ -380,45 +397,54 @@ def intersect_cuts(
             break
         places += pair.places()
     places.sort(key=lambda place: (-place.scale, not place.sure))
-    for part in _together(places):
+    for batch in _together(places):
         if spent() > _SOLVED:
-            unsearched += len(part)
+            unsearched += len(batch)
             continue
-        solutions, unsolved = _solved(system, part, settings, spent)
+        solutions, unsolved = _solved(system, batch, settings, spent)
         failed, unsearched = (failed, unsearched + unsolved) if spent() >= 1 else (failed + unsolved, unsearched)
         _add(system, solutions, intersections, settings)
-    for part in _together(intersections):
+    for batch in _together(intersections):
         if spent() > _PAIRED:
-            unsearched += len(part)
+            unsearched += len(batch)
             continue
-        _add(system, _partners(system, part, settings, spent), intersections, settings)
+        _add(system, _partners(system, batch, settings, spent), intersections, settings)
     return Crossings(sorted(intersections, key=lambda crossing: -crossing.scale), failed, unsearched)
 
 
 def _together(many: Sequence[Meeting]) -> list[list[Meeting]]:
-    """Split places or crossings in order into parts with the same branches."""
+    """Return places or intersections in batches of the same pair of branches, which are solved together, in order."""
     parts = []
     for start in range(0, len(many), _TOGETHER):
-        within: dict[tuple[int, int], list[Meeting]] = {}
+        by_branches: dict[tuple[int, int], list[Meeting]] = {}
         for intersection in many[start : start + _TOGETHER]:
-            within.setdefault((intersection.sides[0].branch, intersection.sides[1].branch), []).append(intersection)
-        parts += within.values()
+            by_branches.setdefault((intersection.sides[0].branch, intersection.sides[1].branch), []).append(
+                intersection
+            )
+        parts += by_branches.values()
     return parts
 
 
 def _pairs(
     system: System, sides: tuple[TubeSide, TubeSide], cuts: tuple[Cut, Cut], settings: ConnectionSettings
 ) -> list[_Pair]:
-    """Return the pairs of nearby pieces on two branches."""
+    """Return the pairs of pieces on two branches that may intersect.
+
+    They cross the section in the same direction, and their momenta and coordinates overlap up to the length of a chord.
+    """
     section, margin, pairs = sides[0].section, settings.cut.chord * system.section_scale, []
     first, second = ([piece for piece in cut.pieces if piece.branch == side.branch]
                      for cut, side in zip(cuts, sides, strict=True))  # fmt: skip
     second = [Tube(sides[1].manifold.orbit, stable=True).placed(piece, section) for piece in second]
-    ways = np.array([piece.direction for piece in second])
-    momenta = np.array([(p.points[:, 1].min(), p.points[:, 1].max()) for p in second]).reshape(-1, 2)
+    crossing_directions = np.array([piece.direction for piece in second])
+    momenta = np.array(
+        [(second_piece.points[:, 1].min(), second_piece.points[:, 1].max()) for second_piece in second]
+    ).reshape(-1, 2)
     for u in first:
         low, high = u.points[:, 1].min() - margin, u.points[:, 1].max() + margin
-        for k in np.flatnonzero((ways == u.direction) & (momenta[:, 0] <= high) & (momenta[:, 1] >= low)):
+        for k in np.flatnonzero(
+            (crossing_directions == u.direction) & (momenta[:, 0] <= high) & (momenta[:, 1] >= low)
+        ):
             s = second[k]
             pairs += [_Pair(sides, (u, s), shift) for shift in _shifts(system, section, u, s, margin)]
     return pairs
@@ -438,6 +464,7 @@ def balanced(crossings: list[Intersection], cuts: tuple[Cut, Cut]) -> bool:
     """
 
     def closed(cut: Cut, branch: int) -> bool:
+        """Return True if a branch's pieces are closed and do not wind around an angle."""
         pieces = [piece for piece in cut.pieces if piece.branch == branch]
         ends = [piece.points[[0, -1], 0] for piece in pieces]
         return all(piece.closed for piece in pieces) and all(abs(last - first) < 1.0 for first, last in ends)
@@ -455,24 +482,30 @@ def balanced(crossings: list[Intersection], cuts: tuple[Cut, Cut]) -> bool:
 
 
 def _shifts(system: System, section: Section, u: Piece, s: Piece, margin: float) -> list[Array]:
-    """Return the whole turns (2,) that move one piece to another."""
+    """Return the shifts (2,) by whole turns of the coordinate after which piece `s` may meet piece `u`.
+
+    `margin`: length of a chord in (q, p/p₀), by which the pieces' boxes may be apart.
+    """
     period = float(system.periods[int(np.argmax(np.abs(section.position)))])
-    (low, high), (least, most) = ((p.points.min(axis=0), p.points.max(axis=0)) for p in (u, s))
+    (low, high), (second_low, second_high) = ((piece.points.min(axis=0), piece.points.max(axis=0)) for piece in (u, s))
     if not np.isfinite(period):
-        return [np.zeros(2)] if high[0] >= least[0] - margin and low[0] <= most[0] + margin else []
-    first = int(np.ceil((low[0] - most[0] - margin) / period))
-    last = int(np.floor((high[0] - least[0] + margin) / period))
+        return [np.zeros(2)] if high[0] >= second_low[0] - margin and low[0] <= second_high[0] + margin else []
+    first = int(np.ceil((low[0] - second_high[0] - margin) / period))
+    last = int(np.floor((high[0] - second_low[0] + margin) / period))
     return [np.array([k * period, 0.0]) for k in range(first, last + 1)]
 
 
 def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bool]]:
-    """Return meeting places (i, j) of two polylines, with True for crossings."""
+    """Return meeting places (i, j) of two polylines (K, 2) and (L, 2): True for crossings, False for near touches.
+
+    i and j are fractional indices of vertices, as in `polyline_crossings`.
+    """
     crossings = polyline_crossings(first, second)
     # A near touch within two segments of a crossing is the same one.
     touches = [
         (i, j)
         for i, j in near_touches(first, second)
-        if not any(abs(i - a) < 2 and abs(j - b) < 2 for a, b in crossings)
+        if not any(abs(i - crossing_i) < 2 and abs(j - crossing_j) < 2 for crossing_i, crossing_j in crossings)
     ]
     return [(place, True) for place in crossings] + [(place, False) for place in touches]
 
@@ -480,14 +513,19 @@ def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bo
 def _solved(
     system: System, places: list[_Place], settings: ConnectionSettings, spent: Spent
 ) -> tuple[list[Intersection], int]:
-    """Solve for intersections near places of the same sides, and count failures.
+    """Return the intersections near places of the same sides, and the number of crossings without a solution.
 
     If Newton's method leaves the place, for example next to a fold thinner than a chord, the cuts are sampled more
     finely. Curves that are closer than the accuracy of their chords may not cross at all.
     """
     sides = places[0].sides
     solutions = _newton(
-        system, sides, np.array([p.phases for p in places]), settings, np.array([p.reach for p in places]), spent
+        system,
+        sides,
+        np.array([meeting_place.phases for meeting_place in places]),
+        settings,
+        np.array([meeting_place.reach for meeting_place in places]),
+        spent,
     )
     accepted = [
         replace(solution, scale=place.scale)
@@ -513,10 +551,10 @@ def _solved(
                 owners.append(k)
                 guesses.append([np.interp(j, np.arange(len(span)), span)
                                 for j, span in zip(closer, places[k].spans, strict=True)])  # fmt: skip
-    again = _newton(
+    finer_solutions = _newton(
         system, sides, np.array(guesses).reshape(-1, 2), settings, np.array([places[k].reach for k in owners]), spent
     )
-    for k, solution in zip(owners, again, strict=True):
+    for k, solution in zip(owners, finer_solutions, strict=True):
         if solution is not None:
             accepted.append(replace(solution, scale=places[k].scale))
             unsolved.discard(k)
@@ -524,10 +562,13 @@ def _solved(
 
 
 def _span(piece: Piece, place: float) -> Array:
-    """Return finer phases of a piece on both sides of a place."""
+    """Return finely spaced phases of a piece at a place and its neighbouring vertices, for a finer search there.
+
+    `place`: fractional index of a vertex.
+    """
     first, last = max(0, int(place) - 2), min(len(piece.phases) - 1, int(place) + 3)
-    along = np.linspace(first, last, _CLOSER * (last - first) + 1)
-    return np.interp(along, np.arange(len(piece.phases)), piece.phases)
+    indices = np.linspace(first, last, _CLOSER * (last - first) + 1)
+    return np.interp(indices, np.arange(len(piece.phases)), piece.phases)
 
 
 @dataclass(frozen=True)
@@ -547,29 +588,29 @@ class _Approach:
 
 
 def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array) -> list[_Approach | None]:
-    """Return candidates at phase pairs (K, 2), or None.
+    """Return the candidates for phases (K, 2) of the two tubes, from which Newton's method steps.
 
-    The result is None if a trajectory does not arrive, or without derivatives.
+    A candidate is None if one of the trajectories does not arrive, or if its derivatives are not finite.
     """
     section = sides[0].section
-    position, along = np.asarray(section.position), np.asarray(section.momentum) / momentum_scale(system, section)
+    position, momentum = np.asarray(section.position), np.asarray(section.momentum) / momentum_scale(system, section)
     approaches: list[_Approach | None] = [None] * len(phases)
     arrivals = [side.arrive(phases[:, which]) for which, side in enumerate(sides)]
-    both = np.flatnonzero(np.isfinite(arrivals[0][1]) & np.isfinite(arrivals[1][1]))
-    if not both.size:
+    both_arrive = np.flatnonzero(np.isfinite(arrivals[0][1]) & np.isfinite(arrivals[1][1]))
+    if not both_arrive.size:
         return approaches
-    states, times = [arrivals[k][0][both] for k in (0, 1)], [arrivals[k][1][both] for k in (0, 1)]
+    states, times = [arrivals[k][0][both_arrive] for k in (0, 1)], [arrivals[k][1][both_arrive] for k in (0, 1)]
     tangents = []
     for which, side in enumerate(sides):
         seeds, seed_slopes = arrivals[which][2]
-        slopes = side.slopes((seeds[both], seed_slopes[both]), states[which], times[which])
+        slopes = side.slopes((seeds[both_arrive], seed_slopes[both_arrive]), states[which], times[which])
         momenta = np.einsum("kij,kj->ki", system.numeric.momentum_jacobian(states[which]), slopes)
-        tangents.append(np.stack([slopes @ position, momenta @ along], axis=-1))
+        tangents.append(np.stack([slopes @ position, momenta @ momentum], axis=-1))
     turns = system.nearest_turns(states[0] - states[1])
     gaps = states[0] - states[1] - turns * system.turn_lengths
     miss = section_points(system, section, states[0]) - section_points(system, section, states[0] - gaps)
-    ways = [np.sign(system.numeric.rate(arrived) @ np.asarray(section.normal)) for arrived in states]
-    for j, k in enumerate(both):
+    crossing_directions = [np.sign(system.numeric.rate(arrived) @ np.asarray(section.normal)) for arrived in states]
+    for j, k in enumerate(both_arrive):
         if not np.isfinite([tangents[0][j], tangents[1][j]]).all():
             continue
         crossing = Intersection(
@@ -580,12 +621,17 @@ def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array)
             tangents=np.column_stack([tangents[0][j], tangents[1][j]]),
             times=(float(times[0][j]), float(times[1][j])),
         )
-        approaches[k] = _Approach(crossing, float(np.abs(gaps[j]).max()), miss[j], bool(ways[0][j] == ways[1][j]))
+        approaches[k] = _Approach(
+            crossing,
+            float(np.abs(gaps[j]).max()),
+            miss[j],
+            bool(crossing_directions[0][j] == crossing_directions[1][j]),
+        )
     return approaches
 
 
 def _slopes(crossing: Intersection) -> Array:
-    """Return the derivative (2, 2) of the gap by both phases."""
+    """Return the derivative (2, 2) of the gap between two arrivals by both phases, from the tangents of the cuts."""
     return np.column_stack([crossing.tangents[:, 0], -crossing.tangents[:, 1]])
 
 
@@ -597,18 +643,18 @@ def _newton(
     reach: Array,
     spent: Spent,
 ) -> list[Intersection | None]:
-    """Solve for phase pairs by Newton's method from guesses (K, 2).
+    """Return the intersections to which Newton's method leads from phases `guesses` (K, 2), None for failures.
 
-    The result is None if the method does not converge in time, or leaves the range `reach` (K,).
+    A failure leaves the range of phases `reach` (K,) about its guess, does not arrive, or does not converge in time.
     """
-    phases, resting = guesses.copy(), np.full(len(guesses), np.inf)
+    phases, smallest_gaps = guesses.copy(), np.full(len(guesses), np.inf)
     results: list[Intersection | None] = [None] * len(guesses)
-    going = np.arange(len(guesses))
+    active = np.arange(len(guesses))
     for _ in range(settings.newton_iterations):
-        if not going.size or spent() >= 1:
+        if not active.size or spent() >= 1:
             break
-        on = []
-        for k, approach in zip(going, _approaches(system, sides, phases[going]), strict=True):
+        continuing = []
+        for k, approach in zip(active, _approaches(system, sides, phases[active]), strict=True):
             if approach is None:
                 continue
             if approach.gap < settings.accept:
@@ -618,15 +664,15 @@ def _newton(
             longest = float(np.max(np.abs(step)))
             if longest < _AT_REST:
                 # On sensitive flights, rounding of the phases alone causes a gap of this size.
-                if approach.gap >= resting[k]:
+                if approach.gap >= smallest_gaps[k]:
                     results[k] = approach.crossing if approach.same_way else None
                     continue
-                resting[k] = approach.gap
+                smallest_gaps[k] = approach.gap
             # Steps are limited, because a larger one would leave the neighbourhood of the guess.
             phases[k] -= step * min(1.0, 0.05 / longest if longest else 1.0)
             if np.max(np.abs(phases[k] - guesses[k])) <= reach[k]:
-                on.append(k)
-        going = np.array(on, dtype=np.intp)
+                continuing.append(k)
+        active = np.array(continuing, dtype=np.intp)
     return results
 
 
@@ -640,22 +686,32 @@ def _partners(
     -2a/b. Next to a pitchfork (b = 0), two more are near ±√(-6a/c). The angle between the cuts is no criterion: if they
     bend sharply, a pair within a hundredth of a phase may meet at 60°.
     """
-    sides, across, flat = crossings[0].sides, [], []
+    sides, gap_directions, phase_directions = crossings[0].sides, [], []
     for crossing in crossings:
-        left, _, right = np.linalg.svd(_slopes(crossing))
-        across.append(left[:, -1])
-        flat.append(right[-1] / np.abs(right[-1]).max())
+        gap_vectors, _, phase_vectors = np.linalg.svd(_slopes(crossing))
+        gap_directions.append(gap_vectors[:, -1])
+        phase_directions.append(phase_vectors[-1] / np.abs(phase_vectors[-1]).max())
     phases = np.array([crossing.phases for crossing in crossings])
-    beside = [_approaches(system, sides, phases + sign * _BESIDE * np.array(flat)) for sign in (-1, 1)]
+    neighbours = [_approaches(system, sides, phases + sign * _BESIDE * np.array(phase_directions)) for sign in (-1, 1)]
     owners, guesses = [], []
-    for k, (crossing, *pair) in enumerate(zip(crossings, *beside, strict=True)):
+    for k, (crossing, *pair) in enumerate(zip(crossings, *neighbours, strict=True)):
         if pair[0] is None or pair[1] is None:
             continue
-        around = (_slopes(c) for c in (pair[0].crossing, crossing, pair[1].crossing))
-        before, middle, after = (float(across[k] @ m @ flat[k]) for m in around)
-        zeros = np.roots([(before - 2 * middle + after) / (6 * _BESIDE**2), (after - before) / (4 * _BESIDE), middle])
-        roots = [float(s.real) for s in zeros if abs(s.imag) < abs(s.real) and abs(s) < _FARTHEST_PARTNER]
-        guesses += [crossing.phases + s * flat[k] for s in roots]
+        derivatives = (_slopes(candidate) for candidate in (pair[0].crossing, crossing, pair[1].crossing))
+        slope_before, slope, slope_after = (
+            float(gap_directions[k] @ derivative @ phase_directions[k]) for derivative in derivatives
+        )
+        zeros = np.roots(
+            [
+                (slope_before - 2 * slope + slope_after) / (6 * _BESIDE**2),
+                (slope_after - slope_before) / (4 * _BESIDE),
+                slope,
+            ]
+        )
+        roots = [
+            float(root.real) for root in zeros if abs(root.imag) < abs(root.real) and abs(root) < _FARTHEST_PARTNER
+        ]
+        guesses += [crossing.phases + root * phase_directions[k] for root in roots]
         owners += [crossing] * len(roots)
     start = np.array(guesses).reshape(-1, 2)
     solved = _newton(system, sides, start, settings, np.full(len(start), _FARTHEST), spent)
@@ -669,7 +725,7 @@ def _partners(
 def _add(
     system: System, solutions: list[Intersection], intersections: list[Intersection], settings: ConnectionSettings
 ) -> None:
-    """Add solutions that differ from all previous ones on the torus."""
+    """Add solutions to `intersections` that differ from all previous ones on the torus."""
     states = np.array([intersection.states[0] for intersection in intersections]).reshape(-1, system.dimension)
     for solution in solutions:
         if not (system.scaled_distance(states, solution.states[0]) < settings.same).any():

@@ -203,7 +203,7 @@ def find_symmetric_connections(
             search.same(connection, earlier) for earlier in connections
         ):
             connections.append(connection)
-    connections.sort(key=lambda c: c.source.energy)
+    connections.sort(key=lambda listed: listed.source.energy)
     progress("connections", 1.0)
     reached = (low, rows[-1].orbit.energy) if rows else (low, low)
     return SymmetricSearch(
@@ -216,12 +216,12 @@ _GRID = 0.7
 
 
 def mirror_image(connection: Connection) -> Connection:
-    """Return the mirror image of a connection, which turns the other way."""
+    """Return the mirror image of a connection, which turns the other way and exists at the same energy."""
     return named(mirrored(connection), at_energy=True)
 
 
 def _fitness(orbit: LyapunovOrbit) -> GridCause:
-    """Return REACHED if an orbit's tube can be searched, or the cause why not."""
+    """Return REACHED if an orbit's tube can be searched; otherwise the cause that ends the grid of energies."""
     if not orbit.converged:
         return GridCause.ORBIT
     return GridCause.REACHED if orbit.unstable_directions == 1 else GridCause.UNSTABLE_DIRECTIONS
@@ -238,6 +238,12 @@ class _Row:
 
 @dataclass(frozen=True)
 class _FamilySearch:
+    """The search for symmetric connections of one family: its settings, and the steps from tubes to connections.
+
+    The system has three arms. `family` is the number of the family, slowest first. `hit` is the number of the upright
+    arm's passage through its lowest position, in the middle of the connection.
+    """
+
     system: System
     saddle: str
     family: int
@@ -246,6 +252,7 @@ class _FamilySearch:
 
     @cached_property
     def problem(self) -> SymmetricShooting:
+        """The shooting problem of the family, from which orbits of other energies follow."""
         return shooting_problem(self.system, self.saddle, self.family)[0]
 
     @cached_property
@@ -259,12 +266,14 @@ class _FamilySearch:
     def section(self) -> Section:
         """The section on which the upright arm hangs down."""
         n, period = self.system.dimension // 2, float(self.system.periods[self.arm])
-        row = tuple(float(i == self.arm) for i in range(2 * n))
+        coefficients = tuple(float(i == self.arm) for i in range(2 * n))
         hanging = float(self.system.equilibrium(self.saddle)[self.arm]) + period / 2
-        return Section(f"arm {self.arm + 1} hanging", row, row, row[:n], offset=hanging, period=period)
+        return Section(
+            f"arm {self.arm + 1} hanging", coefficients, coefficients, coefficients[:n], offset=hanging, period=period
+        )
 
     def flown(self, orbit: LyapunovOrbit) -> _Row:
-        """Propagate the orbit's tube to the section."""
+        """Return the row of an orbit: its tube's trajectories at the section, for the grid of energies and phases."""
         settings, manifold = self.settings, local_manifold(orbit, self.settings.distance)
         branches = (1,) if manifold.branches_are_mirrored else (1, -1)
         phases, gaps = np.arange(settings.phases) / settings.phases, []
@@ -276,22 +285,29 @@ class _FamilySearch:
         return _Row(orbit, branches, np.array(gaps))
 
     def _off(self, states: Array) -> Array:
-        """Return the angles (…, n) relative to the nearest vertical arm positions."""
-        off = states - self.problem.centre
-        off = off - self.system.nearest_turns(2 * off) * self.system.turn_lengths / 2
-        return off[..., : self.system.dimension // 2]
+        """Return the angles (…, n) of states (…, N) relative to the nearest vertical positions of the arms, rad.
+
+        All are zero on the fixed set of the reverser.
+        """
+        deviations = states - self.problem.centre
+        deviations = deviations - self.system.nearest_turns(2 * deviations) * self.system.turn_lengths / 2
+        return deviations[..., : self.system.dimension // 2]
 
     def zeros(self, rows: list[_Row]) -> Iterator[tuple[LyapunovOrbit, int, float]]:
-        """Yield (nearest orbit, branch, phase) for each triangle that contains a zero."""
+        """Yield (nearest orbit, branch, phase) for each triangle of the grid whose image contains the origin.
+
+        Two triangles cover each cell between neighbouring energies and phases. Triangles with distant corners are not
+        searched, because the map is not smooth there.
+        """
         count = self.settings.phases
-        along = np.arange(count)
+        phase_indices = np.arange(count)
         for below, above in pairwise(rows):
-            for b, branch in enumerate(below.branches):
-                lower_gaps, upper_gaps = below.gaps[b], above.gaps[b]
-                onward = [np.roll(gaps, -1, axis=0) for gaps in (lower_gaps, upper_gaps)]
-                for corners, places, row in (
-                    ((lower_gaps, upper_gaps, onward[0]), (0, 0, 1), below),
-                    ((onward[1], upper_gaps, onward[0]), (1, 0, 1), above),
+            for branch_index, branch in enumerate(below.branches):
+                lower_gaps, upper_gaps = below.gaps[branch_index], above.gaps[branch_index]
+                next_phase = [np.roll(gaps, -1, axis=0) for gaps in (lower_gaps, upper_gaps)]
+                for corners, places, grid_row in (
+                    ((lower_gaps, upper_gaps, next_phase[0]), (0, 0, 1), below),
+                    ((next_phase[1], upper_gaps, next_phase[0]), (1, 0, 1), above),
                 ):
                     first, second, third = corners
                     sides = np.stack([second - first, third - first], axis=-1)
@@ -302,34 +318,37 @@ class _FamilySearch:
                     sides[flat] = np.eye(2)
                     shares = np.linalg.solve(sides, -first[..., None])[..., 0]
                     inside = ~flat & (shares >= 0).all(axis=1) & (shares.sum(axis=1) <= 1)
-                    for p in along[inside]:
-                        weights = np.array([1 - shares[p].sum(), *shares[p]])
-                        yield row.orbit, branch, float((p + weights @ np.array(places)) / count % 1.0)
+                    for phase_index in phase_indices[inside]:
+                        weights = np.array([1 - shares[phase_index].sum(), *shares[phase_index]])
+                        yield grid_row.orbit, branch, float((phase_index + weights @ np.array(places)) / count % 1.0)
 
     def refined(self, orbit: LyapunovOrbit, branch: int, phase: float, spacing: float) -> Connection | None:
-        """Refine a zero by multiple shooting with free energy, phase and time."""
+        """Return a zero's connection by multiple shooting with free energy, phase and time, or None after a failure.
+
+        `branch` and `phase`: of the trajectory nearest to the zero. `spacing`: distance of the grid's energies, J.
+        """
         settings = self.settings
         manifold = local_manifold(orbit, settings.distance)
         amplitude = manifold.amplitude(phase, branch)
         seed = ManifoldEnd(manifold, False, phase, amplitude, (0.0,) * self.system.dimension)
         lead = float(np.log(settings.distance / settings.leaves)) / manifold.exponent * orbit.period
-        met = self.system.propagator.crossing(
+        arrival = self.system.propagator.crossing(
             seed.states(np.zeros(1))[0],
             self.section,
             longest=self.system.flight_periods * orbit.period,
             hit=self.hit,
         )
-        if met is None:
+        if arrival is None:
             return None
-        count = int(np.ceil((lead + met.time) / orbit.period * settings.segments))
-        times = np.linspace(-lead, met.time, count + 1)
-        before = times < 0
+        count = int(np.ceil((lead + arrival.time) / orbit.period * settings.segments))
+        times = np.linspace(-lead, arrival.time, count + 1)
+        early = times < 0
         states = np.vstack([
-            seed.states(times[before]), self.system.propagator.sample(seed.states(np.zeros(1))[0], times[~before])
+            seed.states(times[early]), self.system.propagator.sample(seed.states(np.zeros(1))[0], times[~early])
         ])  # fmt: skip
         start = seed.moved(-lead)
         target = states[-1][: self.system.dimension // 2] - self._off(states[-1])
-        shot = self._shot(_Half(start, states[:-1], lead + met.time), target, spacing)
+        shot = self._shot(_Half(start, states[:-1], lead + arrival.time), target, spacing)
         return None if shot is None else self._described(*shot)
 
     def _shot(self, half: "_Half", target: Array, spacing: float) -> "tuple[_Half, Array, float] | None":
@@ -351,21 +370,21 @@ class _FamilySearch:
             except (ArithmeticError, np.linalg.LinAlgError):
                 break
             gaps = ends - np.vstack([nodes[1:], np.concatenate([target, ends[-1][n:]])])
-            worst = float(np.abs(gaps).max())
-            if best is None or worst < best[2]:
-                best = (replace(half, states=nodes), np.concatenate([target, ends[-1][n:]]), worst)
+            largest_gap = float(np.abs(gaps).max())
+            if best is None or largest_gap < best[2]:
+                best = (replace(half, states=nodes), np.concatenate([target, ends[-1][n:]]), largest_gap)
             elif best[2] < self.settings.accept:
                 break
             size = 2 * n * (count - 1)
             matrix = np.zeros((size + n, 3 + size))
             for k in range(count):
                 rows = slice(2 * n * k, 2 * n * k + (2 * n if k < count - 1 else n))
-                cut = rows.stop - rows.start
-                matrix[rows, 2] = system.numeric.rate(ends[k])[:cut] / count
+                height = rows.stop - rows.start
+                matrix[rows, 2] = system.numeric.rate(ends[k])[:height] / count
                 if k == 0:
-                    matrix[rows, :2] = (matrices[0] @ slopes)[:cut]
+                    matrix[rows, :2] = (matrices[0] @ slopes)[:height]
                 else:
-                    matrix[rows, 3 + 2 * n * (k - 1) : 3 + 2 * n * k] = matrices[k][:cut]
+                    matrix[rows, 3 + 2 * n * (k - 1) : 3 + 2 * n * k] = matrices[k][:height]
                 if k < count - 1:
                     matrix[rows, 3 + 2 * n * k : 3 + 2 * n * (k + 1)] -= np.eye(2 * n)
             step = np.linalg.lstsq(matrix, -gaps.ravel()[: size + n], rcond=None)[0]
@@ -385,21 +404,31 @@ class _FamilySearch:
         return best if best is not None and best[2] < self.settings.accept else None
 
     def _start(self, half: "_Half") -> tuple[Array, Array]:
-        """Return the first state (N,) and its derivatives (N, 2)."""
-        end = half.start
-        orbit, vector = end.manifold.orbit, end.manifold.vector
-        frame = end.manifold.frame(np.array([end.phase]))
-        by_phase = frame.state_slopes[0] + end.amplitude * frame.vector_slopes[0]
-        nudge = 1e-6 * self.system.energy_scale
-        sides = []
-        for energy in (orbit.energy - nudge, orbit.energy + nudge):
-            manifold = local_manifold(nearby_orbit(self.problem, orbit, energy), end.manifold.distance)
-            shifted = replace(end, manifold=manifold, amplitude=np.sign(manifold.vector @ vector) * end.amplitude)
-            sides.append(shifted.states(np.zeros(1))[0])
-        return end.states(np.zeros(1))[0], np.column_stack([(sides[1] - sides[0]) / (2 * nudge), by_phase])
+        """Return the first state (N,) of a half and its derivatives (N, 2) by energy, per J, and by phase.
+
+        The derivative by energy is a central difference of neighbouring orbits.
+        """
+        half_start = half.start
+        orbit, vector = half_start.manifold.orbit, half_start.manifold.vector
+        frame = half_start.manifold.frame(np.array([half_start.phase]))
+        by_phase = frame.state_slopes[0] + half_start.amplitude * frame.vector_slopes[0]
+        energy_step = 1e-6 * self.system.energy_scale
+        neighbours = []
+        for energy in (orbit.energy - energy_step, orbit.energy + energy_step):
+            manifold = local_manifold(nearby_orbit(self.problem, orbit, energy), half_start.manifold.distance)
+            shifted = replace(
+                half_start, manifold=manifold, amplitude=np.sign(manifold.vector @ vector) * half_start.amplitude
+            )
+            neighbours.append(shifted.states(np.zeros(1))[0])
+        return half_start.states(np.zeros(1))[0], np.column_stack(
+            [(neighbours[1] - neighbours[0]) / (2 * energy_step), by_phase]
+        )
 
     def _described(self, half: "_Half", middle: Array, residual: float) -> Connection:
-        """Return the connection composed of a solved half and its image."""
+        """Return the connection composed of a solved half and its image under the reverser.
+
+        `middle` (N,): state on the fixed set, at which the halves meet. `residual`: largest defect between segments.
+        """
         system, n = self.system, self.system.dimension // 2
         orbit, centre = half.start.manifold.orbit, self.problem.centre
         # Arms have two reversers. The first maps to stable tubes. The last reverses all angles, and equals the first
@@ -408,9 +437,9 @@ class _FamilySearch:
         assert half_turn is not None
         turns = np.zeros(2 * n)
         turns[:n] = np.rint(2 * (middle[:n] - centre[:n]) / system.periods[:n])
-        before = half.states
-        after = (before[::-1] - centre) @ reverser.T + centre + turns * system.turn_lengths
-        count = len(before)
+        first_half = half.states
+        second_half = (first_half[::-1] - centre) @ reverser.T + centre + turns * system.turn_lengths
+        count = len(first_half)
         times = np.linspace(-half.duration, half.duration, 2 * count + 1)
         end = replace(
             half.start,
@@ -422,7 +451,7 @@ class _FamilySearch:
         flight = ShootingOrbit(
             system=system,
             times=times,
-            states=np.vstack([before, middle, after]),
+            states=np.vstack([first_half, middle, second_half]),
             ends=(half.start, end),
             turn=None,
             residual=residual,
@@ -453,14 +482,20 @@ class _FamilySearch:
         return named(connection, at_energy=True)
 
     def same(self, first: Connection, second: Connection) -> bool:
-        """Return True if two connections are equal or mirror images."""
+        """Return True if two connections are equal or mirror images, by their energies and turns up to signs."""
         difference = abs(first.source.energy - second.source.energy) / self.system.energy_scale
         return difference < self.settings.same and [abs(k) for k in first.winding] == [abs(k) for k in second.winding]
 
 
 @dataclass(frozen=True)
 class _Half:
-    """A connection's first half, with nodes (M, N) and duration in s."""
+    """A connection's first half, from the local manifold to the fixed set.
+
+    Attributes:
+        start: point on the unstable manifold.
+        states (M, N): nodes at equal times from the start, without the end.
+        duration: time from the start to the end, s.
+    """
 
     start: ManifoldEnd
     states: Array

@@ -102,8 +102,8 @@ def transport(orbit: LyapunovOrbit) -> Transport:
             f"{system.name} has {system.dimension // 2} coordinates: orbits surround necks for two coordinates only"
         )
     states = orbit.sample(_MOMENTS + 1)[1:]
-    flux = np.sum(system.numeric.momentum(states) * system.numeric.rate(states)[:, :2], axis=1)
-    action = float(flux.mean()) * orbit.period
+    action_rate = np.sum(system.numeric.momentum(states) * system.numeric.rate(states)[:, :2], axis=1)
+    action = float(action_rate.mean()) * orbit.period
     volume, cause = _volume(orbit, states)
     section = system.sections.get((orbit.saddle, orbit.saddle))
     cut = tube.cut(section) if section is not None and section.kept_by(orbit.reverser, orbit.centre) else None
@@ -114,15 +114,20 @@ def transport(orbit: LyapunovOrbit) -> Transport:
 
 
 def _at_rest(system: System, states: Array) -> Array:
-    """Return the states (…, N) at the same places with rates of zero."""
-    moving, slopes = system.numeric.rate(states)[..., :2], system.numeric.jacobian(states)[..., :2, 2:]
-    return states - np.concatenate([0 * moving, np.linalg.solve(slopes, moving[..., None])[..., 0]], axis=-1)
+    """Return the states (…, N) at the same places at rest, with coordinates' rates of zero.
+
+    The second half of a state can be momenta, which are not zero at rest in every frame. The values without rates are
+    therefore solved for.
+    """
+    rates, slopes = system.numeric.rate(states)[..., :2], system.numeric.jacobian(states)[..., :2, 2:]
+    return states - np.concatenate([0 * rates, np.linalg.solve(slopes, rates[..., None])[..., 0]], axis=-1)
 
 
 def _volume(orbit: LyapunovOrbit, states: Array) -> tuple[float, TransportCause]:
-    """Return the volume of the energy surface of an orbit with given states (K, N).
+    """Return the volume of the energy surface on both sides of an orbit's neck, J s², and whether it is finite.
 
-    A box about the saddle grows until it contains all places that motions reach from the neck.
+    A box about the saddle grows until it contains all places that motions reach from the neck. `states` (K, N): of the
+    orbit.
     """
     system, centre, mass = orbit.system, orbit.centre[:2], orbit.system.numeric.mass_matrix
     if not np.allclose(mass(states), mass(_at_rest(system, states))) or np.linalg.eigvalsh(mass(states)).min() <= 0:
@@ -133,24 +138,24 @@ def _volume(orbit: LyapunovOrbit, states: Array) -> tuple[float, TransportCause]
     while (np.abs(box - centre) <= _FARTHEST * size).all():
         widths = (box[1] - box[0]) / _CELLS
         places = box[0] + widths * (np.moveaxis(np.indices((_CELLS, _CELLS)), 0, -1) + 0.5)
-        rest = _at_rest(system, np.concatenate([places, 0 * places], axis=-1))
-        covered = _covered(system, orbit.energy, rest, widths)
+        rest_states = _at_rest(system, np.concatenate([places, 0 * places], axis=-1))
+        covered = _covered(system, orbit.energy, rest_states, widths)
         passable = covered > 0
         for saddle in (system.equilibria[name] for name in system.saddles):
             # Necks narrower than a cell are open or closed by the energy of their saddle.
-            away = rest - saddle - system.nearest_turns(rest - saddle) * system.turn_lengths
-            neck = (np.abs(away[..., :2]) < _BLOCK * widths).all(axis=-1)
+            differences = rest_states - saddle - system.nearest_turns(rest_states - saddle) * system.turn_lengths
+            neck = (np.abs(differences[..., :2]) < _BLOCK * widths).all(axis=-1)
             passable[neck] = system.numeric.hamiltonian(saddle) < orbit.energy
         # Of three copies along an angle, parts that leave the middle one continue in the others.
         labelled: Any = ndimage.label(np.tile(passable, tiles))
         start = np.floor((centre - box[0]) / widths).astype(int) + _CELLS * (tiles // 2)
-        part = labelled[0] == labelled[0][tuple(start)]
-        part = part.reshape(tiles[0], _CELLS, tiles[1], _CELLS).any(axis=(0, 2))
-        touched = ~periodic & [[part[k].any(), part[:, k].any()] for k in (0, -1)]
-        if not touched.any():
-            weight = 2 * np.pi * np.sqrt(np.linalg.det(mass(rest[part])))
-            return float(weight @ covered[part]) * float(widths.prod()), TransportCause.FINITE
-        box = box + touched * np.outer([-1, 1], box[1] - box[0])
+        reached = labelled[0] == labelled[0][tuple(start)]
+        reached = reached.reshape(tiles[0], _CELLS, tiles[1], _CELLS).any(axis=(0, 2))
+        touched_edges = ~periodic & [[reached[k].any(), reached[:, k].any()] for k in (0, -1)]
+        if not touched_edges.any():
+            weight = 2 * np.pi * np.sqrt(np.linalg.det(mass(rest_states[reached])))
+            return float(weight @ covered[reached]) * float(widths.prod()), TransportCause.FINITE
+        box = box + touched_edges * np.outer([-1, 1], box[1] - box[0])
     return np.inf, TransportCause.UNBOUNDED
 
 
@@ -161,9 +166,13 @@ def _covered(system: System, energy: float, rest: Array, widths: Array) -> Array
     """
     slopes = np.abs(system.numeric.gradient(rest)[..., :2]) * widths
     first, second = np.moveaxis(np.maximum(slopes, 1e-3 * slopes.max(axis=-1, keepdims=True) + 1e-12), -1, 0)
-    most = (first + second) / 2
-    height = np.clip(energy - system.numeric.hamiltonian(rest), -most, most)
-    corners = [i * j * np.maximum(height + (i * first + j * second) / 2, 0) ** 2 for i in (1, -1) for j in (1, -1)]
+    largest_height = (first + second) / 2
+    height = np.clip(energy - system.numeric.hamiltonian(rest), -largest_height, largest_height)
+    corners = [
+        first_sign * second_sign * np.maximum(height + (first_sign * first + second_sign * second) / 2, 0) ** 2
+        for first_sign in (1, -1)
+        for second_sign in (1, -1)
+    ]
     return np.nan_to_num(sum(corners) / (2 * first * second))
 
 
@@ -174,24 +183,24 @@ def _share(orbit: LyapunovOrbit, cut: Cut, action: float, branch: int) -> float 
     """
     system, section, stable = orbit.system, cut.section, orbit.manifold(stable=True)
     pieces, position = [piece for piece in cut.pieces if piece.branch == branch], np.asarray(section.position)
-    spokes = [piece.points @ [1, 1j] - np.mean(piece.points @ [1, 1j]) for piece in pieces]
-    sectors = [(np.conj(spoke) * np.roll(spoke, -1)).imag / 2 for spoke in spokes]
+    radii = [piece.points @ [1, 1j] - np.mean(piece.points @ [1, 1j]) for piece in pieces]
+    sectors = [(np.conj(radius) * np.roll(radius, -1)).imag / 2 for radius in radii]
     area = sum(abs(float(sector.sum())) for sector in sectors)
     if abs(area * momentum_scale(system, section) / (position @ position) / action - 1) > _CLOSED:
         return None
-    turn, shared = np.abs(position) @ system.turn_lengths, 0.0
+    whole_turn, shared_area = np.abs(position) @ system.turn_lengths, 0.0
     arriving = [stable.placed(piece, section) for piece in cut.pieces]
-    for piece, spoke, sector in zip(pieces, spokes, sectors, strict=True):
-        middles = np.mean(piece.points @ [1, 1j]) + np.outer(_RADII, spoke + np.roll(spoke, -1)).ravel() / 2
-        ends = [end.points @ [1, 1j] for end in arriving if end.direction == piece.direction]
-        inside = [_is_inside(end, middles + k * turn) for end in ends for k in (-1, 0, 1)]
-        shared += abs(float(np.mean(np.any(inside, axis=0).reshape(len(_RADII), -1) @ sector))) if ends else 0.0
-    return shared / area
+    for piece, radius, sector in zip(pieces, radii, sectors, strict=True):
+        middles = np.mean(piece.points @ [1, 1j]) + np.outer(_RADII, radius + np.roll(radius, -1)).ravel() / 2
+        curves = [curve.points @ [1, 1j] for curve in arriving if curve.direction == piece.direction]
+        inside = [_is_inside(curve, middles + k * whole_turn) for curve in curves for k in (-1, 0, 1)]
+        shared_area += abs(float(np.mean(np.any(inside, axis=0).reshape(len(_RADII), -1) @ sector))) if curves else 0.0
+    return shared_area / area
 
 
 def _is_inside(curve: Array, points: Array) -> Flags:
     """Return True (M,) for points (M,) inside a curve (K,), from which a ray crosses it an odd number of times."""
-    ahead, aside = np.roll(curve, -1), points[:, None]
-    crosses = (curve.imag > aside.imag) != (ahead.imag > aside.imag)
-    beyond = (np.conj(ahead - curve) * (aside - curve)).imag > 0
-    return np.sum(crosses & (beyond == (ahead.imag > curve.imag)), axis=1) % 2 == 1
+    next_points, column = np.roll(curve, -1), points[:, None]
+    crosses = (curve.imag > column.imag) != (next_points.imag > column.imag)
+    left_of_edge = (np.conj(next_points - curve) * (column - curve)).imag > 0
+    return np.sum(crosses & (left_of_edge == (next_points.imag > curve.imag)), axis=1) % 2 == 1
