@@ -470,11 +470,12 @@ class ChartPage(Documented):
 def measured_maps(
     progress: Progress, *plans: tuple[EdgeMap, Callable[[Any], Border], Sequence[Any]]
 ) -> tuple[EdgeMap, ...]:
-    """Return maps with the borders measured on all their lines.
+    """Return maps of two settings with the borders between success and failure, measured along lines of one setting.
 
     Args:
         progress: called with a label and the completed share.
-        *plans: (map without borders, border at a value, values).
+        *plans: a map without borders, the function that finds the border at a value of the first setting, and all
+            values of this setting.
     """
     maps = []
     for k, (edge_map, border, values) in enumerate(plans):

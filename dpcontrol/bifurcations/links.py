@@ -308,7 +308,12 @@ class LinkProblem:
         return Match(gap, jacobian, tangency, unstable_end)
 
     def mirror(self, link: Link, value: float, which: int) -> MirrorMatch:
-        """Return the distance of a connection's middle from a reverser's fixed set, and the functions a and b there.
+        """Return the scaled vector from a reverser's fixed set to a connection's middle, and two test functions there.
+
+        Symmetric connections have their middle on the fixed set. The tangent of the manifold in the middle has a part
+        that the reverser reverses and one that it keeps. `fold` is the first one across the flow, and vanishes where
+        two symmetric connections meet. `shedding` is the second one across the energy's gradient, and vanishes where a
+        pair of mirror images branches off.
 
         Args:
             link: guess or solution.

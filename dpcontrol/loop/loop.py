@@ -492,7 +492,7 @@ class LoopSettings(Settings, table="run"):
         return BenchSettings(self.sensors, self.drive, self.disturbances, self.mechanics)
 
     def known_mechanics(self, arms: int) -> KnownMechanics:
-        """Return the loop's model of play, belt and missing encoders, which filter and command shaping use.
+        """Return the loop's model of play, belt and existing encoders, which filter and command shaping use.
 
         The values are those of the bench, unless the settings give others.
 

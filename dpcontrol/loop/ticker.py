@@ -318,7 +318,8 @@ class Ticker:
 
         Return a description of it for the log.
 
-        The ticker must have a single run.
+        The ticker must have a single run. From then on, a tick consists of several calls, because the fallback's law is
+        not part of the compiled tick.
 
         Args:
             k: tick.

@@ -255,7 +255,7 @@ def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[floa
 
 
 def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: float) -> None:
-    """Mark and number the symbols at their planned and actual times, and name them above if there is room.
+    """Mark the symbols at their planned and actual times, number the planned ones, and name them if there is room.
 
     Args:
         axes: panel of the story.

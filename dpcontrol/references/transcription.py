@@ -342,10 +342,13 @@ class _Program:
         self.high_g.append(values)
 
     def _join_ends(self, rows: list[ca.MX], first: ca.MX, last: ca.MX, matrix: ca.MX) -> None:
-        """Add conditions at the ends that are not bounds: closing and energy, or all if stages have no bounds.
+        """Add the conditions at the ends that are not bounds of variables: closed motions and given energies.
+
+        A program of separate stages, for fatrop, has no bounds of variables. Its rows become those of the first stage,
+        the start, the later stages and the end, in this order.
 
         Args:
-            rows: constraints so far, to which those of the ends are added.
+            rows: constraints so far, which are extended, or replaced for separate stages.
             first: scaled state at the start.
             last: scaled state at the end.
             matrix: constraints of the intervals, one column each.

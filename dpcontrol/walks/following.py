@@ -132,7 +132,10 @@ class SymbolBranches:
             return None
 
     def followed(self, connection: Connection, energy: float) -> Connection | None:
-        """Return the connection at another energy to which continuation leads, or None if it ends on the way.
+        """Return the connection among those at another energy to which continuation of a connection leads.
+
+        The result is None if continuation fails, or if the search at either energy finds neither the connection nor its
+        image under the system's symmetry of half a period.
 
         Args:
             connection: connection at its energy.
