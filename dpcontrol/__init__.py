@@ -229,6 +229,15 @@ class _GymnasiumFinder:
 
     @staticmethod
     def find_spec(name: str, path: "Sequence[str] | None", target: object = None) -> "ModuleSpec | None":
+        """Return the specification of gymnasium that registers the environments of dpcontrol, None for other modules.
+
+        Python asks each finder in `sys.meta_path` for a module that it imports.
+
+        Args:
+            name: name of the imported module.
+            path: folders to search, None for Python's path.
+            target: module to reload, which is not needed here.
+        """
         if name != "gymnasium":
             return None
         from dpcontrol.foundation.registration import registering_spec
@@ -245,12 +254,13 @@ else:
 
 
 def __getattr__(name: str) -> object:
+    """Import the module of a name when the name is first used, and return its value."""
     if name not in __dir__():
         raise AttributeError(f"module 'dpcontrol' has no attribute {name!r}")
     import importlib
 
-    module, _, own = _HOMES.get(name, "api").partition(":")
-    value = getattr(importlib.import_module(f"dpcontrol.{module}"), own or name)
+    module, _, name_there = _HOMES.get(name, "api").partition(":")
+    value = getattr(importlib.import_module(f"dpcontrol.{module}"), name_there or name)
     globals()[name] = value
     return value
 

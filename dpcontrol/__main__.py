@@ -40,6 +40,7 @@ def _discard_unwritable_output() -> None:
 
 
 def _ended_at_once(number: int, frame: FrameType | None) -> None:
+    """End the program at an interrupt while the command line is loaded, before any work that needs cleaning up."""
     with suppress(OSError):
         os.write(2, b"dpcontrol: interrupted; nothing was begun\n")
     os._exit(128 + number)

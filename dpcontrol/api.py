@@ -299,21 +299,21 @@ def find_orbits(
         raise InputError("picture shows families of rotating orbits: give energies")
     system = _system(model)
     if rotating is not None:
-        found = view = _rotating(system, rotating, energy, energies, progress)
+        result = view = _rotating(system, rotating, energy, energies, progress)
     elif not sustained:
-        found = view = _lyapunov(system, str(saddle), family, energy, energies, progress)
-        found = transports.transport(found) if transport else found
+        result = view = _lyapunov(system, str(saddle), family, energy, energies, progress)
+        result = transports.transport(result) if transport else result
     else:
         # A system without arms is rejected before the search for its orbit, which can take minutes.
         arms = models.model_of(system).arms
         conservative = _lyapunov(system, str(saddle), family, energy, energies, progress)
-        found = replace(sustained_orbit(conservative, progress=progress), resets=sections)
+        result = replace(sustained_orbit(conservative, progress=progress), resets=sections)
         view = None
         if picture is not None:
-            _found(found.converged, f"the sustained orbit about {saddle}", found.status)
-            view = log_views.sustained_view(found, arms.length)
+            _found(result.converged, f"the sustained orbit about {saddle}", result.status)
+            view = log_views.sustained_view(result, arms.length)
     _draw(view, picture)
-    return found
+    return result
 
 
 @overload
@@ -385,8 +385,8 @@ def connections(
         )  # fmt: skip
     target = source if target is None else target
     source.system.check_same(target.system)
-    for one in (source, target):
-        _found(one.converged, f"the orbit about {one.saddle}", one.status)
+    for end in (source, target):
+        _found(end.converged, f"the orbit about {end.saddle}", end.status)
     return tubes.find_connections(
         source,
         target,
@@ -459,9 +459,9 @@ def find_connections(
     """
     extended = precision == "extended"
     if energies is not None:
-        one = {"energy": energy, "section": section, "longest": longest, "thorough": thorough, "name": name}
-        if others := [key for key, value in (one | {"precision": extended}).items() if value not in (None, False)]:
-            raise InputError(f"{others[0]} belongs to a search at one energy: omit it, or energies")
+        options = {"energy": energy, "section": section, "longest": longest, "thorough": thorough, "name": name}
+        if unused := [key for key, value in (options | {"precision": extended}).items() if value not in (None, False)]:
+            raise InputError(f"{unused[0]} belongs to a search at one energy: omit it, or energies")
         if source != target:
             raise InputError(f"energies: symmetric connections lead back to their orbit: the target must be {source}")
         orbit = _lyapunov(_system(model), source, family, energies[0], None, progress)
@@ -577,8 +577,8 @@ def find_bifurcations(
     if energies is not None and parameter is None and not levels:
         course, values = links.Quantity.of_energy(_system(model)), energies
     elif energies is None and parameter is not None and len(levels) == 1:
-        above = () if height is None else (source, target)
-        course = models.parameter_course(models.model_of(_system(model)), parameter, levels[0], above)
+        saddles_below = () if height is None else (source, target)
+        course = models.parameter_course(models.model_of(_system(model)), parameter, levels[0], saddles_below)
         values = parameter[1:]
     else:
         raise InputError("give either energies, or a parameter and its energy or height")
@@ -663,12 +663,14 @@ def atlas(
     settings = atlases.AtlasSettings(
         hits=hits, search=intersections.search_settings(thorough=thorough, seconds=seconds)
     )
-    chosen = _model(model) if isinstance(model, str) else model
-    found = atlases.make_atlas(chosen, float(energy), settings=settings, fresh=fresh, yes=yes, progress=progress)
+    loaded_model = _model(model) if isinstance(model, str) else model
+    computed_atlas = atlases.make_atlas(
+        loaded_model, float(energy), settings=settings, fresh=fresh, yes=yes, progress=progress
+    )
     if out is None:
-        return found
-    atlases.save_atlas(Path(out), found)
-    return replace(found, file=Path(out))
+        return computed_atlas
+    atlases.save_atlas(Path(out), computed_atlas)
+    return replace(computed_atlas, file=Path(out))
 
 
 @checked
@@ -712,8 +714,8 @@ def shadow(
     edges = searches if isinstance(searches, graphs.Edges) else _edges(searches)
     solver = shadowing.WalkSolver(edges.known)
     if isinstance(walk, walk_lists.WalkRequest):
-        own = walk.chain[0].source
-        _same_level(edges.system, edges.energy, own.system, own.energy)
+        first_orbit = walk.chain[0].source
+        _same_level(edges.system, edges.energy, first_orbit.system, first_orbit.energy)
         (answer,) = walk_lists.solved([walk], solver)
         if answer.orbit is None:
             raise GoalMissed(answer.status)
@@ -760,16 +762,16 @@ def prove(
     part("flint")
     if not isinstance(found, lyapunov.LyapunovOrbit) and not found.connections:
         raise InputError("found: the search has no connection to prove; search at another energy or with more hits")
-    own = found if isinstance(found, lyapunov.LyapunovOrbit) else found.connections[0].source
+    first_orbit = found if isinstance(found, lyapunov.LyapunovOrbit) else found.connections[0].source
     if rivals is not None:
-        _same_level(own.system, own.energy, rivals.system, rivals.energy)
-    height = proofs.Energies.of(own.energy if energy is None else energy)
+        _same_level(first_orbit.system, first_orbit.energy, rivals.system, rivals.energy)
+    height = proofs.Energies.of(first_orbit.energy if energy is None else energy)
     if not isinstance(found, lyapunov.LyapunovOrbit | shadowing.ShadowingOrbit):
-        kind = "horseshoe" if horseshoe and own is found.connections[0].target else "connection"
+        kind = "horseshoe" if horseshoe and first_orbit is found.connections[0].target else "connection"
         return proofs.prove_network(kind, found.connections, energy=height, settings=settings, progress=progress)
     if isinstance(found, shadowing.ShadowingOrbit):
-        known = () if rivals is None else rivals.known
-        return proofs.prove_walk(found, energy=height, rivals=known, settings=settings, progress=progress)
+        rival_connections = () if rivals is None else rivals.known
+        return proofs.prove_walk(found, energy=height, rivals=rival_connections, settings=settings, progress=progress)
     return proofs.prove_orbit(found, energy=height, settings=settings, progress=progress)
 
 
@@ -892,34 +894,37 @@ def prove_statement(
         if out is not None:
             raise InputError(f"out = {out}: a check writes no certificate; omit it")
         return check_proof(str(model), progress=progress)
-    system, first, settings = _system(model), source or saddle, proofs.ProofSettings(bits, radius, box)
+    system, first_saddle, settings = _system(model), source or saddle, proofs.ProofSettings(bits, radius, box)
     if energy is None:
         raise InputError("energy is missing: give the energy, J")
     if statement == "walk" and not symbols:
         raise InputError("a walk is missing: give its symbols")
-    if first is None and statement not in ("walk", "graph"):
+    if first_saddle is None and statement not in ("walk", "graph"):
         raise InputError("give the saddle inside the orbit, or the source of the connections, such as down-up")
-    if statement == "horseshoe" and target not in (None, first):
+    if statement == "horseshoe" and target not in (None, first_saddle):
         raise InputError("a horseshoe needs homoclinics of one orbit: omit the target")
 
     def proved(energies: proofs.Energies) -> proofs.Proof:
-        height, given = float(energies.middle), {"energy": energies, "settings": settings}
+        """Return the proof over an interval of energies, which `over_range` halves if the proof fails."""
+        height, energy_and_settings = float(energies.middle), {"energy": energies, "settings": settings}
         if statement == "graph":
-            return prove_graph(system, **given, yes=yes, progress=progress)
+            return prove_graph(system, **energy_and_settings, yes=yes, progress=progress)
         if statement == "walk":
             edges = graph(system, energy=height, symbols=symbols, yes=yes, progress=part_of(progress, 0.0, 0.2))
             walk = shadow(edges, symbols, wraps=wraps, periodic=periodic, yes=yes)
             announce(_proof_cost(walk.duration / walk.connections[0].source.period), yes=yes)
-            return prove(walk, **given, rivals=edges, progress=part_of(progress, 0.2, 1.0))
-        near = orbit(system, str(first), energy=height, family=family)
+            return prove(walk, **energy_and_settings, rivals=edges, progress=part_of(progress, 0.2, 1.0))
+        source_orbit = orbit(system, str(first_saddle), energy=height, family=family)
         if statement == "orbit":
-            return prove(near, **given, progress=progress)
-        joined = near if target in (None, first) else orbit(system, str(target), energy=height)
-        search = connections(near, joined, hits=hits, progress=part_of(progress, 0.0, 0.1))
-        chosen = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
-        announce(_proof_cost(sum(4 + (c.time_out + c.time_in) / near.period for c in chosen)), yes=yes)
-        found, whole = replace(search, connections=chosen), statement == "horseshoe"
-        return prove(found, **given, horseshoe=whole, progress=part_of(progress, 0.1, 1.0))
+            return prove(source_orbit, **energy_and_settings, progress=progress)
+        target_orbit = source_orbit if target in (None, first_saddle) else orbit(system, str(target), energy=height)
+        search = connections(source_orbit, target_orbit, hits=hits, progress=part_of(progress, 0.0, 0.1))
+        chosen_connections = tuple(search.named(name) for name in dict.fromkeys(names)) or search.connections
+        announce(
+            _proof_cost(sum(4 + (c.time_out + c.time_in) / source_orbit.period for c in chosen_connections)), yes=yes
+        )
+        chosen_search, is_horseshoe = replace(search, connections=chosen_connections), statement == "horseshoe"
+        return prove(chosen_search, **energy_and_settings, horseshoe=is_horseshoe, progress=part_of(progress, 0.1, 1.0))
 
     return _certified(proofs.over_range(proofs.Energies.of(energy, within), proved), out)
 
@@ -962,14 +967,14 @@ def reference(
     orbits = [walks] if isinstance(walks, shadowing.ShadowingOrbit) else list(walks)
     if not orbits:
         raise InputError("walks = []: give one at least")
-    for one in orbits:
-        orbits[0].connections[0].source.system.check_same(one.connections[0].source.system)
-        _found(one.converged, "the walk's orbit", one.status)
-        if one.periodic:
+    for walk in orbits:
+        orbits[0].connections[0].source.system.check_same(walk.connections[0].source.system)
+        _found(walk.converged, "the walk's orbit", walk.status)
+        if walk.periodic:
             raise InputError("a periodic walk has no ends that a reference could start and finish at; shadow it open")
     parts = [
-        itineraries.WalkPart(one.connections[0].source.energy, one.walk, one.wraps, 1, one.lead_in, one.lead_out)
-        for one in orbits
+        itineraries.WalkPart(walk.connections[0].source.energy, walk.walk, walk.wraps, 1, walk.lead_in, walk.lead_out)
+        for walk in orbits
     ]
     loaded = itineraries.itinerary_of(
         models.model_of(orbits[0].connections[0].source.system),
@@ -1026,18 +1031,20 @@ def plan(
     loaded = itineraries.load_itinerary(str(itinerary))
     if explore_energy is not None:
         energy_charts.only_walk(loaded)
-    found = plans.make_plan(loaded, progress=part_of(progress, 0.0, 0.5), fresh=fresh, workers=workers, yes=yes)
-    if not found.converged:
-        return found
+    planned = plans.make_plan(loaded, progress=part_of(progress, 0.0, 0.5), fresh=fresh, workers=workers, yes=yes)
+    if not planned.converged:
+        return planned
     if polish:
         step = part_of(progress, 0.5, 0.8)
-        found = replace(found, polished=polishing.polish(found, fresh=fresh, workers=workers, yes=yes, progress=step))
+        planned = replace(
+            planned, polished=polishing.polish(planned, fresh=fresh, workers=workers, yes=yes, progress=step)
+        )
     if margins:
-        found = replace(found, margins=closed_loop(found).margins())
-    if explore_energy is not None and not found.missed:
+        planned = replace(planned, margins=closed_loop(planned).margins())
+    if explore_energy is not None and not planned.missed:
         step = part_of(progress, 0.8, 1.0)
-        found = replace(found, energies=explore_energies(found, picture=explore_energy, progress=step))
-    return found if out is None or found.missed else found.written_to(Path(out))
+        planned = replace(planned, energies=explore_energies(planned, picture=explore_energy, progress=step))
+    return planned if out is None or planned.missed else planned.written_to(Path(out))
 
 
 @checked
@@ -1140,9 +1147,11 @@ def polish(
         >>> found.sides[1].effort < found.sides[0].effort
         True
     """
-    found = plan(itinerary, yes=yes, progress=part_of(progress, 0.0, 0.2)) if isinstance(itinerary, str) else itinerary
+    planned = (
+        plan(itinerary, yes=yes, progress=part_of(progress, 0.0, 0.2)) if isinstance(itinerary, str) else itinerary
+    )
     return polishing.polish(
-        found, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(progress, 0.2, 1.0)
+        planned, fresh=fresh, runs=runs, workers=workers, yes=yes, progress=part_of(progress, 0.2, 1.0)
     )
 
 
@@ -1191,8 +1200,8 @@ def run(
         >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
         True
     """
-    chosen = _settings(settings, mismatch=mismatch, plant=plant, start=start)
-    loop = _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5))
+    run_settings = _settings(settings, mismatch=mismatch, plant=plant, start=start)
+    loop = _closed(itinerary, run_settings, yes=yes, progress=part_of(progress, 0.0, 0.5))
     return loop.run(seed=seed, rig=rig, log=log, force=force, live=live, progress=part_of(progress, 0.5, 1.0))
 
 
@@ -1315,24 +1324,24 @@ def launch(
     if live:
         viewer.check_viewer(viewer.LIVE_REMEDY)
     bench = loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
-    chosen, shared = _settings(settings), {"force": force, "live": live}
-    loaded = _loaded(itinerary).with_run(chosen, seed=seed)
+    run_settings, options = _settings(settings), {"force": force, "live": live}
+    loaded = _loaded(itinerary).with_run(run_settings, seed=seed)
     night = None if hours is None else night_runs.NightSettings(hours, file_minutes, keep_every)
-    loaded = loaded if night is None else night_runs.night_itinerary(loaded, overrides=chosen)
+    loaded = loaded if night is None else night_runs.night_itinerary(loaded, overrides=run_settings)
     check = night_runs.name_check(
         loaded, bench, night, resume=resume, free=log is True and not learn, force=force, yes=yes
     )
     # Names are checked before the plan, which can take minutes.
     with chosen_name(log, single_runs.default_log(loaded), check) as file:
-        loop, rest = (
-            _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5)),
+        loop, step = (
+            _closed(itinerary, run_settings, yes=yes, progress=part_of(progress, 0.0, 0.5)),
             part_of(progress, 0.5, 1.0),
         )
         if night is None:
-            return loop.run(seed=seed, rig=bench, program=program, log=file, progress=rest, **shared)
+            return loop.run(seed=seed, rig=bench, program=program, log=file, progress=step, **options)
         folder = file or single_runs.default_log(loaded)
         return loop.night(
-            night, folder, seed=seed, rig=bench, resume=resume, learn=learn, yes=yes, progress=rest, **shared
+            night, folder, seed=seed, rig=bench, resume=resume, learn=learn, yes=yes, progress=step, **options
         )
 
 
@@ -1373,14 +1382,16 @@ def learn(
     if not files:
         raise InputError("logs = []: give at least one log")
     runs, names = [open_log(file) for file in files], [file.name for file in files]
-    last = runs[-1].log.metadata
+    last_metadata = runs[-1].log.metadata
     with chosen_name(
         out,
-        Path("models") / f"{last.get('itinerary', 'run')}-learnt.toml",
-        lambda file: models.check_model_replaced(file, logs=names, starting_model=last.get("model", ""), force=force),
+        Path("models") / f"{last_metadata.get('itinerary', 'run')}-learnt.toml",
+        lambda file: models.check_model_replaced(
+            file, logs=names, starting_model=last_metadata.get("model", ""), force=force
+        ),
     ) as file:
-        found = runs[-1].learn(runs[:-1], progress=progress)
-        return found if file is None else found.written_to(file)
+        learnt_model = runs[-1].learn(runs[:-1], progress=progress)
+        return learnt_model if file is None else learnt_model.written_to(file)
 
 
 @checked
@@ -1427,9 +1438,9 @@ def export(
     """
     if unit and (folder is None or Path(folder).suffix != ".fmu"):
         raise InputError(f"folder = {folder}: a co-simulation unit needs a name that ends in .fmu")
-    chosen = _settings(settings)
-    single_runs.check_exportable(_loaded(itinerary).with_run(chosen))
-    loop = _closed(itinerary, chosen, yes=yes, progress=part_of(progress, 0.0, 0.5))
+    run_settings = _settings(settings)
+    single_runs.check_exportable(_loaded(itinerary).with_run(run_settings))
+    loop = _closed(itinerary, run_settings, yes=yes, progress=part_of(progress, 0.0, 0.5))
     return loop.export(folder, single=single, clock=clock, force=force, progress=part_of(progress, 0.5, 1.0))
 
 
@@ -1488,20 +1499,25 @@ def campaign(
     """
     # Check for the writer of the table before the plan, which can take minutes.
     part("pyarrow")
-    loaded, fixed = _loaded(itinerary), _settings(settings, mismatch=mismatch, plant=plant)
+    loaded, fixed_settings = _loaded(itinerary), _settings(settings, mismatch=mismatch, plant=plant)
     # A score needs no list of confirmed failures.
-    confirmed = 0 if standard else campaigns.CampaignSettings.replayed
-    counts = campaigns.CampaignSettings(runs or (8 if standard else 100), first_seed, path, workers, replayed=confirmed)
-    cases = campaigns.asked_cases(loaded, fixed=fixed, over=over or {}, standard=standard, transitions=transitions)
+    replayed_failures = 0 if standard else campaigns.CampaignSettings.replayed
+    counts = campaigns.CampaignSettings(
+        runs or (8 if standard else 100), first_seed, path, workers, replayed=replayed_failures
+    )
+    cases = campaigns.asked_cases(
+        loaded, fixed=fixed_settings, over=over or {}, standard=standard, transitions=transitions
+    )
     record = campaigns.campaign_record(loaded, cases, counts, transitions=transitions)
 
     def check(file: Path) -> None:
+        """Reject a table of another campaign, which would be lost."""
         if not force:
             campaigns.check_table(file, record)
 
-    named = log_folder() / f"{loaded.name}{'-transitions' if transitions else ''}.parquet"
-    with chosen_name(out, named, check) as file:
-        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(progress, 0.0, 0.1))
+    default_table = log_folder() / f"{loaded.name}{'-transitions' if transitions else ''}.parquet"
+    with chosen_name(out, default_table, check) as file:
+        loop = _closed(itinerary, fixed_settings, yes=yes, progress=part_of(progress, 0.0, 0.1))
         return loop.campaign(
             over=over, settings=counts, standard=standard, transitions=transitions, out=file, force=force, yes=yes,
             progress=part_of(progress, 0.1, 1.0),
@@ -1547,14 +1563,14 @@ def preflight(
         >>> dp.preflight("hold-up-up", runs=16, yes=True).share.runs  # doctest: +SKIP
         16
     """
-    loaded, fixed = _loaded(itinerary), _settings(settings)
-    page = log_folder() / f"{loaded.name}-preflight.pdf"
-    with chosen_name(picture, page) as file:
-        loop = _closed(itinerary, fixed, yes=yes, progress=part_of(progress, 0.0, 0.05))
-        found = loop.preflight(
+    loaded, run_settings = _loaded(itinerary), _settings(settings)
+    default_page = log_folder() / f"{loaded.name}-preflight.pdf"
+    with chosen_name(picture, default_page) as file:
+        loop = _closed(itinerary, run_settings, yes=yes, progress=part_of(progress, 0.0, 0.05))
+        prediction = loop.preflight(
             runs=runs, first_seed=first_seed, workers=workers, yes=yes, progress=part_of(progress, 0.05, 1.0)
         )
-        return _drawn(found, file)
+        return _drawn(prediction, file)
 
 
 @checked
@@ -1584,6 +1600,7 @@ def swings(
 
 
 def _swings(model: Model, count: int, seconds: float, *, seed: int, yes: bool) -> recording_files.Recording:
+    """Return simulated swings from random angles (see `swings`), after announcing their cost."""
     announce(recording_files.swings_cost(count, seconds), yes=yes)
     name = f"{model.name}-swings-{seed}"
     return recording_files.random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=name)
@@ -1647,37 +1664,40 @@ def identify(
         >>> dp.identify(dp.swings("lab", count=3, seconds=1.5), model="lab").friction_terms
         ('viscous',)
     """
-    several = [recordings] if isinstance(recordings, recording_files.Recording | str | Path) else [*recordings]
-    if bool(several) == design:
-        wrong = (
+    sources = [recordings] if isinstance(recordings, recording_files.Recording | str | Path) else [*recordings]
+    if bool(sources) == design:
+        mistake = (
             "design compares possible recordings: omit recordings"
             if design
             else "recordings = []: give at least one log"
         )
-        raise InputError(wrong)
+        raise InputError(mistake)
     model = _model(model)
     if design and picture is not None:
         raise InputError("picture shows an identification, and design makes none: omit picture")
     if design:
         return design_experiments(model, progress=progress)
-    named = [*map(_recording, several)]
-    files, given = [Path(name).name for name, _ in named], [one for _, one in named]
+    named_recordings = [*map(_recording, sources)]
+    files, measured = (
+        [Path(name).name for name, _ in named_recordings],
+        [swing_recording for _, swing_recording in named_recordings],
+    )
     target = Path("models") / f"{Path(files[0]).stem}.toml" if out is True else None if out is None else Path(out)
     if target is not None:
         models.check_model_replaced(target, logs=files, starting_model=model.name, force=force)
-    choice = {None: "chosen", True: "free", False: "none"}[zeros]
-    title = f"{model.title}, identified from {', '.join(one.name for one in given)}"
-    found = identification.identify(
-        given, model.arms, settings=identification.IdentificationSettings(zeros=choice), progress=progress
+    zeros_choice = {None: "chosen", True: "free", False: "none"}[zeros]
+    title = f"{model.title}, identified from {', '.join(swing_recording.name for swing_recording in measured)}"
+    identified = identification.identify(
+        measured, model.arms, settings=identification.IdentificationSettings(zeros=zeros_choice), progress=progress
     )
-    for one in given:
-        if against := recording_checks.contradiction(one, model.arms, model=model.name):
-            remark(f"{one.name}: {against}")
+    for swing_recording in measured:
+        if contradiction := recording_checks.contradiction(swing_recording, model.arms, model=model.name):
+            remark(f"{swing_recording.name}: {contradiction}")
     if target is not None:
-        models.write_model(found, target, title=title, logs=files, starting_model=model.name)
+        models.write_model(identified, target, title=title, logs=files, starting_model=model.name)
     if picture is not None:
-        _save(identification_pages.draw_identification(found, title=title), picture)
-    return replace(found, file=target)
+        _save(identification_pages.draw_identification(identified, title=title), picture)
+    return replace(identified, file=target)
 
 
 @checked
@@ -2173,30 +2193,34 @@ def find_walks(
         >>> dp.find_walks("lab", energy=-0.07, symbols=["down-up +"], solve=True).converged
         True
     """
-    leads = (lead_in, lead_out)
+    lead_wraps = (lead_in, lead_out)
     selection = walk_lists.WalkSelection(
-        symbols, through, length, source, target, random, lengths, seed, periodic, wraps, extra_wraps, leads
+        symbols, through, length, source, target, random, lengths, seed, periodic, wraps, extra_wraps, lead_wraps
     )
     selection.check(solve=solve, yes=yes)
-    exact = _exact(energy) if precision == "extended" else None
-    results = {"out": out, "picture": picture, "film": film, "precision": exact}
-    if not solve and (names := [name for name, value in results.items() if value is not None]):
+    exact_energy = _exact(energy) if precision == "extended" else None
+    options_of_orbits = {"out": out, "picture": picture, "film": film, "precision": exact_energy}
+    if not solve and (names := [name for name, value in options_of_orbits.items() if value is not None]):
         raise InputError(f"{names[0]} concerns the orbits of walks: add --solve (solve=True in Python)")
     if solve and not selection.selected_by:
         raise InputError("solve needs walks: give symbols, through, length or random")
     if compare is not None and (solve or not (symbols or through)):
         raise InputError("compare follows the symbols of one walk: give symbols or through, and omit solve")
     system = _system(model)
-    chosen = selection.parsed(system)
+    parsed_symbols = selection.parsed(system)
     if compare is not None:
-        return _changes(system, chosen, (float(energy), compare), progress)
-    numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
+        return _changes(system, parsed_symbols, (float(energy), compare), progress)
+    hits_to_search = {
+        (source_hit, target_hit) for source_hit in range(1, hits[0] + 1) for target_hit in range(1, hits[1] + 1)
+    }
     search = part_of(progress, 0.0, 0.3 if solve else 1.0)
-    edges = graphs.find_edges(system, float(energy), hits=numbers, symbols=chosen, yes=yes, progress=search)
+    edges = graphs.find_edges(
+        system, float(energy), hits=hits_to_search, symbols=parsed_symbols, yes=yes, progress=search
+    )
     if not selection.selected_by:
         return edges
     walks = walk_lists.WalkList(edges, selection.requests(edges, solve=solve, yes=yes))
-    return _solved(walks, out, (picture, film), exact, part_of(progress, 0.3, 1.0)) if solve else walks
+    return _solved(walks, out, (picture, film), exact_energy, part_of(progress, 0.3, 1.0)) if solve else walks
 
 
 @checked
@@ -2251,7 +2275,7 @@ def list_walks(
         64
     """
     chains = walk_lists.listed(graph, length, source=source, target=target, periodic=periodic)
-    return tuple(tuple(c.name for c in chain) for chain in chains)
+    return tuple(tuple(connection.name for connection in chain) for chain in chains)
 
 
 @checked
@@ -2314,7 +2338,7 @@ def shortest_walk(graph: graphs.Edges, stops: Sequence[str]) -> tuple[str, ...]:
         >>> len(dp.shortest_walk(dp.graph(lab, energy=-0.07), ["down-up", "down-up"]))
         1
     """
-    return tuple(c.name for c in walk_lists.through(stops, graph))
+    return tuple(connection.name for connection in walk_lists.through(stops, graph))
 
 
 @checked
@@ -2476,9 +2500,9 @@ def start_bench(
     """
     loaded = _loaded(itinerary).with_run(_settings(settings), seed=seed)
     server = bench_server.BenchServerSettings(watchdog=watchdog, real_time=real_time, runs=runs)
-    where = example_benches.BenchAddress(host, port, None if key_file is None else Path(key_file), insecure, server)
+    address = example_benches.BenchAddress(host, port, None if key_file is None else Path(key_file), insecure, server)
     return example_benches.example_bench(
-        loaded, where, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=progress
+        loaded, address, hanging=hanging, faults=faults, notify=remark, yes=yes, progress=progress
     )
 
 
@@ -2531,19 +2555,19 @@ def commission(
         >>> dp.commission("outer-turn", faults=["encoder-2-reversed"]).wrong[0].step
         'encoders'
     """
-    loaded, chosen = _loaded(itinerary), _settings(settings)
+    loaded, run_settings = _loaded(itinerary), _settings(settings)
     bench = loops.bench_of(_linked(rig, key_file=key_file, insecure=insecure, real_time=real_time))
-    if getattr(bench, "address", bench) not in (None, single_runs.OWN_BENCH) and (faults or chosen):
+    if getattr(bench, "address", bench) not in (None, single_runs.OWN_BENCH) and (faults or run_settings):
         raise InputError(f"rig = {rig}: faults and settings are those of the example bench; omit them")
     if write:
         # A file that cannot be changed is reported before the cart moves.
         single_runs.measured_text(loaded, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
-    practice = loaded.with_run(chosen, seed=seed)
-    found = single_runs.commission_rig(
-        loaded, bench, practice=practice, faults=faults, switches=switches, notify=lambda text: progress(text, 0.0)
+    on_example = loaded.with_run(run_settings, seed=seed)
+    findings = single_runs.commission_rig(
+        loaded, bench, practice=on_example, faults=faults, switches=switches, notify=lambda text: progress(text, 0.0)
     )
-    found = replace(found, itinerary=loaded.name, bench="" if bench is None else bench.name)
-    return single_runs.written(found, loaded) if write else found
+    findings = replace(findings, itinerary=loaded.name, bench="" if bench is None else bench.name)
+    return single_runs.written(findings, loaded) if write else findings
 
 
 @checked
@@ -2666,9 +2690,9 @@ def score(
         scores = tuple(run.score() for run in runs)
         return scoring.Scores(scores, tuple(run.why(yes=yes, progress=progress) for run in runs) if why else ())
     if why or len(nights) < len(paths):
-        other = next((path for path in paths if path not in nights), None)
-        what = "why tries single runs" if other is None else f"{other} is a single log"
-        raise InputError(f"{nights[0]} is the folder of a long run, and {what}; score the folder alone")
+        other_log = next((path for path in paths if path not in nights), None)
+        conflict = "why tries single runs" if other_log is None else f"{other_log} is a single log"
+        raise InputError(f"{nights[0]} is the folder of a long run, and {conflict}; score the folder alone")
     return scoring.Scores(tuple(map(night_logs.read_night, nights)))
 
 
@@ -2719,19 +2743,19 @@ def review(
         raise InputError("stretch is given without film: give the film too")
     paths = [Path(files)] if isinstance(files, str | Path) else [*map(Path, files)]
     progress("reading", 0.05)
-    shown = viewer.opened(paths, symbol=align)
+    content = viewer.opened(paths, symbol=align)
     recording = None if save is None else Path(save)
     progress("recording", 0.2)
     if recording is not None:
-        renderers.record(shown, recording)
+        renderers.record(content, recording)
     elif picture is None and film is None:
-        recording = viewer.view_in_window(shown, paths[0].stem)
+        recording = viewer.view_in_window(content, paths[0].stem)
     if film is not None:
-        films.write_film(shown, film, stretch=stretch, yes=yes, progress=progress)
+        films.write_film(content, film, stretch=stretch, yes=yes, progress=progress)
     if picture is not None:
         progress("picture", 0.5)
-        _save(render(shown), picture)
-    aligned = getattr(shown, "status", None) if len(paths) > 1 else None
+        _save(render(content), picture)
+    aligned = getattr(content, "status", None) if len(paths) > 1 else None
     return viewer.Review(tuple(paths), recording, None if film is None else Path(film), aligned)
 
 
@@ -2771,15 +2795,15 @@ def report(file: Place, *, page: Picture = None, margins: bool = False) -> repor
         remedy = "a log of the folder" if of_night else "a log, or use plan --margins"
         raise InputError(f"{file}: margins apply to one log; give {remedy}")
     if of_night or of_campaign:
-        found = night_logs.read_night(source) if of_night else campaign_tables.campaign_summary(source)
-        _save(render(found), target)
-        return report_pages.Report(found, target)
+        judged = night_logs.read_night(source) if of_night else campaign_tables.campaign_summary(source)
+        _save(render(judged), target)
+        return report_pages.Report(judged, target)
     run = open_log(source)
-    borne = run.margins() if margins else None
+    margins_of_run = run.margins() if margins else None
     view = log_views.run_view(run.log)
     _save(render(view), target)
     return report_pages.Report(
-        scoring.Unscored(str(source), view.verdict) if scoring.lacking(run.log) else run.score(), target, borne
+        scoring.Unscored(str(source), view.verdict) if scoring.lacking(run.log) else run.score(), target, margins_of_run
     )
 
 
@@ -2891,9 +2915,9 @@ def import_recording(
         2
     """
     if (file is None) == (simulated is None):
-        found = "missing" if file is None else "given"
-        raise InputError(f"file and simulated are both {found}: give a file, or the model of simulated swings")
-    own = None if model is None else _model(model)
+        state = "missing" if file is None else "given"
+        raise InputError(f"file and simulated are both {state}: give a file, or the model of simulated swings")
+    expected_model = None if model is None else _model(model)
     if simulated is None:
         recording = importing.import_recording(Path(str(file)), mapping, repairs=list(repairs), progress=progress)
     else:
@@ -2902,9 +2926,13 @@ def import_recording(
     log = _new_log(
         out, f"{recording.name}.mcap", lambda place: recording_files.write_recording(recording, place, force=force)
     )
-    against = "" if own is None else recording_checks.contradiction(recording, own.arms, model=own.name)
+    contradiction = (
+        ""
+        if expected_model is None
+        else recording_checks.contradiction(recording, expected_model.arms, model=expected_model.name)
+    )
     remarks, source = (
-        (*recording_checks.constant_angles(recording), *filter(None, [against])),
+        (*recording_checks.constant_angles(recording), *filter(None, [contradiction])),
         str(file or recording.source),
     )
     for sentence in remarks:
@@ -3003,17 +3031,17 @@ def replay(
     settings = replays.ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
     model, filters = _model(model), replays.filter_settings(estimator, model_error=model_error)
     name, recording = _recording(recording)
-    found = replays.replay_recording(
+    replayed = replays.replay_recording(
         recording, model.arms, filters, settings, zeros=model.encoder_zeros, progress=progress
     )
     log = _new_log(
         out,
         f"{Path(name).stem}-replay.mcap",
-        lambda place: replays.write_replay(found, place, model=model.name, model_text=model.text, force=force),
+        lambda place: replays.write_replay(replayed, place, model=model.name, model_text=model.text, force=force),
     )
-    if against := recording_checks.contradiction(recording, model.arms, model=model.name):
-        remark(f"{name}: {against}")
-    return replace(found, model=model.name, estimator=estimator, log=log)
+    if contradiction := recording_checks.contradiction(recording, model.arms, model=model.name):
+        remark(f"{name}: {contradiction}")
+    return replace(replayed, model=model.name, estimator=estimator, log=log)
 
 
 @checked
@@ -3146,7 +3174,7 @@ def describe(
         if not force and Path(out).is_file() and Path(out).read_bytes() != loaded.text.encode():
             raise in_the_way(out, "holds another model")
         write_whole(Path(out), loaded.text)
-    mjcf_file, file = (None if written is None else Path(written) for written in (mjcf, out))
+    mjcf_file, file = (None if output is None else Path(output) for output in (mjcf, out))
     return models.ModelDescription(loaded, lyapunov.equilibria(loaded.system), mjcf_file, file)
 
 
@@ -3185,20 +3213,20 @@ def demo(
         >>> dp.demo(folder=log.parent).score.completed
         True
     """
-    began = perf_counter()
+    start = perf_counter()
     planned = plan(itinerary, yes=yes, progress=part_of(progress, 0.05, 0.5))
-    step, name = part_of(progress, 0.5, 0.75), f"{planned.itinerary.name}-{seed}.mcap"
+    progress_of_run, name = part_of(progress, 0.5, 0.75), f"{planned.itinerary.name}-{seed}.mcap"
     with free_name(
-        Path(folder) / name, lambda log: run(planned, seed=seed, log=log, force=force, progress=step)
-    ) as done:
-        view, file = log_views.run_view(done.log), done.log.path
+        Path(folder) / name, lambda log: run(planned, seed=seed, log=log, force=force, progress=progress_of_run)
+    ) as logged_run:
+        view, file = log_views.run_view(logged_run.log), logged_run.log.path
         recording = file.with_suffix(".rrd") if installed("rerun") else None
         if recording is not None:
             rerun_recordings.write_recording(view, recording)
         progress("picture", 0.85)
         picture = file.with_suffix(".png")
         _save(render(view), picture)
-    return single_runs.Demonstration(planned, file, done.score(), recording, picture, perf_counter() - began)
+    return single_runs.Demonstration(planned, file, logged_run.score(), recording, picture, perf_counter() - start)
 
 
 def _recording(given: recording_files.Recording | Place) -> tuple[str, recording_files.Recording]:
@@ -3207,7 +3235,13 @@ def _recording(given: recording_files.Recording | Place) -> tuple[str, recording
 
 
 def _new_log(out: Place | Literal[True] | None, name: str, write: Callable[[Path], Path]) -> Path | None:
-    """Write a log to a file, or to the first free name in the folder of logs."""
+    """Write a log to a file, or to the first free name in the folder of logs, and return the file.
+
+    Args:
+        out: file, True for a free name, or None to write no log.
+        name: first name that is tried in the folder of logs.
+        write: function that writes the log to a path and returns it.
+    """
     if out is True:
         with free_name(log_folder() / name, write) as log:
             return log
@@ -3221,18 +3255,28 @@ def _draw(result: Any, file: Place | None) -> None:
 
 
 def _save(figure: Figure, file: Place) -> None:
+    """Write a figure to a file, in the format of its suffix."""
     page_layout.save_figure(figure, file)
 
 
 def _model(model: Model | str) -> Model:
+    """Return a model, loaded if its name or file is given."""
     return models.load_model(model) if isinstance(model, str) else model
 
 
 def _system(model: Model | System | str) -> System:
+    """Return the dynamical system of a model, or the system itself."""
     return model if isinstance(model, systems.System) else _model(model).system
 
 
 def _found(converged: bool, what: str, status: str) -> None:
+    """Raise GoalMissed for a result that a later step needs and that did not converge.
+
+    Args:
+        converged: True if the result can be used.
+        what: the result, as the beginning of the message.
+        status: reason for which it did not converge.
+    """
     if not converged:
         raise GoalMissed(f"{what}: {status}")
 
@@ -3245,15 +3289,32 @@ def _lyapunov(
     energies: tuple[float, float] | None,
     progress: Reporting,
 ) -> Any:
-    """Return a Lyapunov orbit, or its family between two energies."""
+    """Return the Lyapunov orbit about a saddle at one energy, or its family between two energies.
+
+    Args:
+        system: system of the saddle.
+        saddle: name of the saddle.
+        number: number of the family of orbits about the saddle, slowest first, from 0.
+        energy: energy of the orbit; None for a family.
+        energies: first and last energy of the family; None for one orbit.
+        progress: receiver of progress reports.
+
+    Raises:
+        GoalMissed: the orbit does not converge.
+        InputError: both energy and energies are given.
+    """
     if energies is not None and energy is not None:
         raise InputError("energy and energies are given: give energy for one orbit, or energies for its family")
     if energies is not None:
         return family(system, saddle, energies=energies, family=number, progress=progress)
     assert energy is not None
-    found = orbit(system, saddle, energy=energy, family=number)
-    _found(found.converged, f"the Lyapunov orbit about {saddle} at {energy:g}{system.unit('J')}", found.status)
-    return found
+    lyapunov_orbit = orbit(system, saddle, energy=energy, family=number)
+    _found(
+        lyapunov_orbit.converged,
+        f"the Lyapunov orbit about {saddle} at {energy:g}{system.unit('J')}",
+        lyapunov_orbit.status,
+    )
+    return lyapunov_orbit
 
 
 def _rotating(
@@ -3263,7 +3324,18 @@ def _rotating(
     energies: tuple[float, float] | None,
     progress: Reporting,
 ) -> rotations.RotatingOrbits | rotations.RotatingFamilies:
-    """Return the rotating orbits at an energy, or their families between two."""
+    """Return the rotating orbits of one arm at an energy, or their families between two energies.
+
+    Args:
+        system: system of two arms.
+        arm: arm that turns over.
+        energy: energy of the orbits; None for families.
+        energies: first and last energy of the families, which start from orbits in the middle between these.
+        progress: receiver of progress reports.
+
+    Raises:
+        GoalMissed: there is no such orbit.
+    """
     height = sum(energies or ()) / 2 if energy is None else energy
     orbits = rotating_orbits(system, arm, energy=height)
     if not orbits:
@@ -3278,6 +3350,7 @@ def _rotating(
 def _changes(
     system: System, symbols: Sequence[walk_symbols.Symbol], energies: tuple[float, float], progress: Progress
 ) -> following.SymbolChanges:
+    """Return the energies of a range at which the symbols of a walk come to select other connections."""
     return following.SymbolChanges(
         following.symbol_changes(system, symbols, energies, progress=progress), energies, system.unit("J")
     )
@@ -3294,30 +3367,46 @@ def _solved(
     energy: Decimal | Fraction | None,
     progress: Reporting,
 ) -> walk_lists.SolvedWalks:
-    """Return the orbits of walks, in files of a folder, refined at an exact energy, and shown in picture and film."""
+    """Return the orbits of walks, in files of a folder, refined at an exact energy, and shown in picture and film.
+
+    Args:
+        walks: walks on a graph.
+        folder: folder of the orbits' files, or None.
+        shown: files of a picture and a film, or None; only for a single walk.
+        energy: exact energy for a refinement in 113 bits, or None for double precision.
+        progress: receiver of progress reports.
+    """
     count = len(walks.walks)
     if any(shown) and count != 1:
         raise InputError(f"picture and film show one walk, but there are {count}: give the symbols of one")
     if energy is not None and count > _REFINED:
         raise InputError(f"precision = extended: {count} walks; at most {_REFINED} are possible")
-    parameters, place = _exact_parameters(walks.edges.system), None if folder is None else Path(folder)
-    found = walk_lists.solve_walks(walks, energy=energy, parameters=parameters, folder=place, progress=progress)
-    if any(shown) and found.converged and (orbit := found.answers[0].orbit) is not None:
+    parameters, orbit_folder = _exact_parameters(walks.edges.system), None if folder is None else Path(folder)
+    solved_walks = walk_lists.solve_walks(
+        walks, energy=energy, parameters=parameters, folder=orbit_folder, progress=progress
+    )
+    if any(shown) and solved_walks.converged and (orbit := solved_walks.answers[0].orbit) is not None:
         picture(orbit, file=shown[0], film=shown[1])
-        return replace(found, picture=shown[0], film=shown[1])
-    return found
+        return replace(solved_walks, picture=shown[0], film=shown[1])
+    return solved_walks
 
 
 def _exact(energy: Decimal | Fraction | float) -> Decimal | Fraction:
+    """Return an energy as an exact number; a float counts as the decimal number that Python prints for it."""
     return energy if isinstance(energy, Decimal | Fraction) else Decimal(repr(float(energy)))
 
 
 def _exact_parameters(system: System) -> Sequence[Any] | None:
+    """Return a model's parameters as exact numbers for extended precision, or None for a system without a model."""
     return system.model.exact_parameters if isinstance(system, models.ModelSystem) else None
 
 
 def _proof_cost(periods: float) -> Cost:
-    """Return the cost of a proof, 0.8 to 1.5 s per period."""
+    """Return the predicted cost of a proof, whose measured time is 0.8 to 1.5 s for each period.
+
+    Args:
+        periods: length of all orbits to enclose, in periods of the periodic orbit.
+    """
     return Cost(f"{periods:.3g} periods of orbits", 1.5 * periods, 2e8, "prove")
 
 
@@ -3333,38 +3422,48 @@ def _certified(proof: proofs.Proof, out: Place | None) -> proofs.Proof:
 
 
 def _same_level(system: System, energy: float, other: System, other_energy: float) -> None:
+    """Reject two results that belong to different systems or energies, and so to different energy surfaces."""
     system.check_same(other)
     if energy != other_energy:
         raise InputError(f"the results are of different energies, {energy:g} and {other_energy:g}; use one")
 
 
 def _edges(searches: Sequence[tubes.ConnectionSearch]) -> graphs.Edges:
-    """Return the part of the graph that some searches found."""
+    """Return the part of the connection graph that some searches found, all at one energy."""
     if not searches:
         raise InputError("found = []: give a graph, or one search for connections at least")
-    first = searches[0].source
-    for one in searches:
-        first.system.check_same(one.source.system)
-    if len({one.energy for search in searches for one in (search.source, search.target)}) > 1:
+    first_orbit = searches[0].source
+    for item in searches:
+        first_orbit.system.check_same(item.source.system)
+    if len({item.energy for search in searches for item in (search.source, search.target)}) > 1:
         raise InputError("the connections are of different energies: a walk keeps one")
     return graphs.Edges(
-        system=first.system,
-        energy=first.energy,
-        orbits={one.saddle: one for search in searches for one in (search.source, search.target)},
+        system=first_orbit.system,
+        energy=first_orbit.energy,
+        orbits={item.saddle: item for search in searches for item in (search.source, search.target)},
         absent=(),
         searched=tuple((search.source.saddle, search.target.saddle) for search in searches),
-        connections=tuple(one for search in searches for one in search.connections),
+        connections=tuple(item for search in searches for item in search.connections),
         incomplete=(),
     )
 
 
 def _loaded(itinerary: plans.Plan | str) -> itineraries.Itinerary:
+    """Return an itinerary, loaded if its name or file is given, or that of a plan."""
     return itineraries.load_itinerary(itinerary) if isinstance(itinerary, str) else itinerary.itinerary
 
 
 def _closed(
     itinerary: plans.Plan | str, settings: Mapping[str, Any], *, yes: bool, progress: Progress
 ) -> loops.ClosedLoop:
+    """Return the closed loop of an itinerary, which is planned unless a plan is given.
+
+    Args:
+        itinerary: plan, or name or file of an itinerary.
+        settings: settings of the runs, by path.
+        yes: permission for work of more than an hour or 4 GB of memory.
+        progress: receiver of progress reports.
+    """
     # A wrong setting is reported before the plan is computed.
     loaded = _loaded(itinerary).with_run(settings)
     planned = plans.make_plan(loaded, yes=yes, progress=progress) if isinstance(itinerary, str) else itinerary
@@ -3374,7 +3473,17 @@ def _closed(
 def _linked(
     rig: Rig | single_runs.RigLink | str | None, *, key_file: Place | None, insecure: bool, real_time: bool
 ) -> Rig | single_runs.RigLink | str | None:
-    """Return a rig, or the link to a bench at an address."""
+    """Return a rig, or the link to a bench at an address, if options of links are given.
+
+    Args:
+        rig: object of the user, link, address or name of a rig, or None for the simulated bench.
+        key_file: file with the shared key of bench and loop, or None.
+        insecure: True to allow a bench on another computer without a key.
+        real_time: True to request real-time priority.
+
+    Raises:
+        InputError: options of links are given for another kind of rig.
+    """
     if not (key_file or insecure or real_time):
         return rig
     if not isinstance(rig, str) or own_objects.names_file(rig):
@@ -3389,7 +3498,12 @@ def _drawn(result: Any, file: Place | None) -> Any:
 
 
 def _settings(settings: Mapping[str, object] | None, **named: object) -> dict[str, Any]:
-    """Return settings by path: those of the mapping and of arguments by name."""
+    """Return the settings of runs by path: those of the mapping, and those that have an argument of their own.
+
+    Args:
+        settings: values by path or unique last part, or None.
+        **named: values by the names of arguments, which override the mapping; None for those not given.
+    """
     if isinstance(named.get("plant"), Path):
         named["plant"] = str(named["plant"])
     start: Any = named.get("start")

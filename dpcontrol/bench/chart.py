@@ -47,10 +47,13 @@ LEADING = 3
 
 
 UNITS = ("s", "m", "rad", "J", "m/s²", "m/s² per rad", "m²/s³", "1/(N m s)", "N m s")
+"""Units that axis labels can end with."""
 
 
 def split_label(label: str) -> tuple[str, str]:
     """Return the quantity and the unit of an axis label, the unit after its last comma or "".
+
+    Axes then show the unit with an SI prefix.
 
     Args:
         label: quantity, with or without a unit.
@@ -63,14 +66,16 @@ def split_label(label: str) -> tuple[str, str]:
 class Point:
     """One method at one setting, with its cost and error.
 
-    Cost is that of a unit of work (s, or the panel's x); error is the panel's y.
-
     Attributes:
+        method: name of the method.
+        setting: its setting.
+        seconds: cost of a unit of work, s, or the x of the diagram.
+        error: error of the result, the y of the diagram.
         default: True for the package's choice.
         outside: True for another package's method.
         stored: True if measured elsewhere, drawn but excluded from the front.
-        others: further measures by name, for the JSON.
         note: a few words for display.
+        others: further measures by name, for the JSON.
     """
 
     method: str
@@ -100,9 +105,16 @@ class Missing:
 
 @dataclass(frozen=True)
 class Diagram(Documented):
-    """One diagram of points for the same work, with the reason for keeping a default off the front.
+    """One diagram of points for the same work.
 
     Attributes:
+        title: title of the diagram.
+        x_label: quantity of the points' cost, with its unit.
+        y_label: quantity of their error, with its unit.
+        points: methods at their settings.
+        missing: those without a point.
+        why: reason for keeping a default off the front, or "".
+        log_y: False for shares.
         floor: errors below it are rounding and count as equal.
         judged: False for a second view of work that another panel judges.
         joined: True for methods with three points each, of a first result with an empty and a filled cache, and of
@@ -124,37 +136,42 @@ class Diagram(Documented):
 
     @property
     def _running(self) -> list[tuple[Point, float]]:
-        """Points that take part in the front, with their errors."""
-        return [(p, max(p.error, self.floor)) for p in self.points if not p.stored]
+        """Points that take part in the front, with their errors of at least the floor."""
+        return [(point, max(point.error, self.floor)) for point in self.points if not point.stored]
 
     @property
     def front(self) -> tuple[Point, ...]:
-        """Points on the front, fastest first."""
-        running = self._running
-        best = [
-            p
-            for p, e in running
-            if not any(q.seconds <= p.seconds and f <= e and (q.seconds, f) != (p.seconds, e) for q, f in running)
+        """Points on the front, fastest first: no other point is at most as slow and as wrong, and better in one."""
+        competitors = self._running
+        undominated = [
+            point
+            for point, error in competitors
+            if not any(
+                other.seconds <= point.seconds
+                and other_error <= error
+                and (other.seconds, other_error) != (point.seconds, error)
+                for other, other_error in competitors
+            )
         ]
-        return tuple(sorted(best, key=lambda p: (p.seconds, p.error)))
+        return tuple(sorted(undominated, key=lambda point: (point.seconds, point.error)))
 
     @property
     def defaults(self) -> tuple[Point, ...]:
         """Points of the package's defaults."""
-        return tuple(p for p in self.points if p.default)
+        return tuple(point for point in self.points if point.default)
 
     def off_front(self, point: Point) -> float:
-        """Return the distance of a point from the front as a share, 0 on the front.
+        """Return the distance `off` of a point from the front as a share, 0 on the front; see the head of this module.
 
         Args:
             point: point of this diagram.
         """
         error = max(point.error, self.floor)
-        fastest = min(p.seconds for p, e in self._running if e <= error)
-        truest = min(e for p, e in self._running if p.seconds <= point.seconds)
+        fastest = min(rival.seconds for rival, rival_error in self._running if rival_error <= error)
+        most_precise = min(rival_error for rival, rival_error in self._running if rival.seconds <= point.seconds)
         # If no equally fast point is more precise, only time measures the distance.
-        wrong = error / truest if 0 < truest < error else math.inf
-        return min(point.seconds / fastest, wrong) - 1
+        error_ratio = error / most_precise if 0 < most_precise < error else math.inf
+        return min(point.seconds / fastest, error_ratio) - 1
 
     def standing(self, point: Point) -> str:
         """Return the position of a point in words.
@@ -167,17 +184,19 @@ class Diagram(Documented):
     def finding(self) -> str:
         """Return the diagram's result in one sentence: the first default against the fastest other point as precise."""
         if self.joined:
-            times = [p.seconds for p in self.points]
+            times = [point.seconds for point in self.points]
             shares = [empty / filled for empty, filled in zip(times[::3], times[1::3], strict=True)]
             return f"a first result takes {min(shares):.2g} to {max(shares):.2g} times as long with an empty cache"
-        ours = next(iter(self.defaults), self.front[-1])
-        error, unit = max(ours.error, self.floor), split_label(self.y_label)[1]
+        default = next(iter(self.defaults), self.front[-1])
+        error, unit = max(default.error, self.floor), split_label(self.y_label)[1]
         measured, cost = (label.partition(",")[0] for label in (self.y_label, self.x_label))
-        as_good = [p for p, e in self._running if p is not ours and e <= error]
-        if not as_good:
-            return f"{ours.name} has the smallest {measured}, {quantity(error, unit) if self.log_y else f'{error:.0%}'}"
-        other = min(as_good, key=lambda p: p.seconds)
-        return f"{other.name} does as well as {ours.name} at {other.seconds / ours.seconds:.2g} times its {cost}"
+        as_precise = [point for point, point_error in self._running if point is not default and point_error <= error]
+        if not as_precise:
+            return (
+                f"{default.name} has the smallest {measured}, {quantity(error, unit) if self.log_y else f'{error:.0%}'}"
+            )
+        other = min(as_precise, key=lambda point: point.seconds)
+        return f"{other.name} does as well as {default.name} at {other.seconds / default.seconds:.2g} times its {cost}"
 
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each default off the front without reason, or too far off even with a reason."""
@@ -189,18 +208,32 @@ class Diagram(Documented):
 
     @property
     def standings(self) -> list[dict[str, Any]]:
-        """Position of each default."""
-        return [{"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults]
+        """Position of each default, for the JSON."""
+        return [
+            {"name": point.name, "off_front": self.off_front(point), "standing": self.standing(point)}
+            for point in self.defaults
+        ]
 
     def text(self) -> Iterator[Line]:
         """Yield a table, then the result and notes.
 
         The table has all points if a line joins them, otherwise the front and the defaults off it.
         """
-        shown = self.points if self.joined else [*self.front, *(p for p in self.defaults if p not in self.front)]
+        listed_points = (
+            self.points
+            if self.joined
+            else [*self.front, *(point for point in self.defaults if point not in self.front)]
+        )
         rows = tuple(
-            (p.method, p.setting, f"{p.seconds:.3g}", f"{p.error:.2g}", self.standing(p) if p.default else "", p.note)
-            for p in shown
+            (
+                point.method,
+                point.setting,
+                f"{point.seconds:.3g}",
+                f"{point.error:.2g}",
+                self.standing(point) if point.default else "",
+                point.note,
+            )
+            for point in listed_points
         )
         yield TextTable(self.title, ("front", "setting", self.x_label, self.y_label, "default", ""), rows)
         yield f"  {self.finding()}"
@@ -211,14 +244,21 @@ class Diagram(Documented):
 
 @dataclass(frozen=True)
 class Attempt:
-    """Outcome of a trial: success, and the message of a failure."""
+    """Outcome of a trial at one value.
+
+    Attributes:
+        works: True for success.
+        says: message of a failure.
+    """
 
     works: bool
     says: str = ""
 
 
 def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
-    """Return success if at least half of the answers succeed, otherwise the number of failures and one message.
+    """Return success if at least half of the runs succeed, otherwise the number of failures and one message.
+
+    Borders of random outcomes lie at half the successes.
 
     Args:
         answers: outcomes of runs.
@@ -227,8 +267,8 @@ def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
     messages = [answer.says for answer in answers if not answer.works]
     if 2 * len(messages) <= len(answers):
         return Attempt(True)
-    first = next(filter(None, messages), "")
-    return Attempt(False, first and f"{len(messages)} of {len(answers)} {lost}; {first}")
+    first_message = next(filter(None, messages), "")
+    return Attempt(False, first_message and f"{len(messages)} of {len(answers)} {lost}; {first_message}")
 
 
 @dataclass(frozen=True)
@@ -262,7 +302,10 @@ class Border(Documented):
 
     @property
     def off(self) -> float | None:
-        """Difference of measured and predicted border, as a share, zero if the prediction lies between the sides."""
+        """Difference of measured and predicted border, as a share, zero if the prediction lies between the sides.
+
+        It is None without a border or a prediction.
+        """
         if self.measured is None or self.predicted is None or not self.near or not self.far:
             return None
         if min(self.near, self.far) <= self.predicted <= max(self.near, self.far):
@@ -281,7 +324,10 @@ def find_border(
     ratio: float = 1.1,
     unit: float = 0.0,
 ) -> Border:
-    """Return the border between `near`, which works, and `far`, both positive and in either order.
+    """Find the border between a value that works and a value that fails by bisection of their ratio.
+
+    Both values are positive, in either order. If the first fails or the second works, one side of the border is
+    missing.
 
     Args:
         probe: function of a value, which tries it.
@@ -294,26 +340,27 @@ def find_border(
         unit: restricts values to its multiples; the search ends at neighbours.
     """
     trials: dict[float, Attempt] = {}
-    good, bad = (max(round(y / unit), 1) * unit if unit else y for y in (near, far))
+    working, failing = (max(round(value / unit), 1) * unit if unit else value for value in (near, far))
 
-    def works(y: float) -> bool:
-        trials[y] = probe(y)
-        return trials[y].works
+    def works(value: float) -> bool:
+        """Try a value, store the outcome, and return True for success."""
+        trials[value] = probe(value)
+        return trials[value].works
 
-    sides: tuple[float | None, float | None] = bad, None
-    if not works(good):
-        sides = None, good
-    elif not works(bad):
-        while max(good / bad, bad / good) > ratio:
-            middle = math.sqrt(good * bad)
+    sides: tuple[float | None, float | None] = failing, None
+    if not works(working):
+        sides = None, working
+    elif not works(failing):
+        while max(working / failing, failing / working) > ratio:
+            middle = math.sqrt(working * failing)
             if unit:
                 middle = round(middle / unit) * unit
-            if middle in (good, bad):
+            if middle in (working, failing):
                 break
-            good, bad = (middle, bad) if works(middle) else (good, middle)
-        sides = good, bad
-    says = "" if sides[1] is None else trials[sides[1]].says
-    return Border(x, line, *sides, predicted, says, tuple(sorted(trials.items())))
+            working, failing = (middle, failing) if works(middle) else (working, middle)
+        sides = working, failing
+    message = "" if sides[1] is None else trials[sides[1]].says
+    return Border(x, line, *sides, predicted, message, tuple(sorted(trials.items())))
 
 
 @dataclass(frozen=True)
@@ -342,24 +389,28 @@ class EdgeMap(Documented):
 
     def finding(self) -> str:
         """Return the map's result in one sentence: the range of the borders, and how well theory predicts them."""
-        measured = [b.measured for b in self.borders if b.measured is not None]
+        measured = [border.measured for border in self.borders if border.measured is not None]
         if not measured:
             return f"no line {self.far}"
-        limits = dict.fromkeys(quantity(y, split_label(self.y_label)[1]) for y in (min(measured), max(measured)))
-        off = [b.off for b in self.borders if b.off is not None]
-        predicted = f", at most {max(off):.0%} from the prediction" if off else ""
+        limits = dict.fromkeys(
+            quantity(value, split_label(self.y_label)[1]) for value in (min(measured), max(measured))
+        )
+        differences = [border.off for border in self.borders if border.off is not None]
+        predicted = f", at most {max(differences):.0%} from the prediction" if differences else ""
         return f"{self.far} at {' to '.join(limits)}{predicted}"
 
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each border that is missing, contradicts its prediction, or is a silent failure."""
         complaints = []
-        for b in self.borders:
-            where = f"{self.title}, {b.line}"
-            if b.predicted is not None and (b.off is None or b.off > self.agrees):
-                border = "no border" if b.measured is None else f"border at {b.measured:.3g}"
-                complaints.append(f"{where}: {border}, predicted at {b.predicted:.3g}")
-            if b.far is not None and not b.says:
-                complaints.append(f"{where}: the failure at {b.far:.3g} is not reported")
+        for border_on_line in self.borders:
+            place = f"{self.title}, {border_on_line.line}"
+            if border_on_line.predicted is not None and (
+                border_on_line.off is None or border_on_line.off > self.agrees
+            ):
+                border = "no border" if border_on_line.measured is None else f"border at {border_on_line.measured:.3g}"
+                complaints.append(f"{place}: {border}, predicted at {border_on_line.predicted:.3g}")
+            if border_on_line.far is not None and not border_on_line.says:
+                complaints.append(f"{place}: the failure at {border_on_line.far:.3g} is not reported")
         return tuple(complaints)
 
     def text(self) -> Iterator[Line]:
@@ -378,10 +429,7 @@ class EdgeMap(Documented):
 
 @dataclass(frozen=True)
 class ChartPage(Documented):
-    """A page of `dpcontrol bench`.
-
-    It has a name for command line and files, a title, reading hints, the choice, and its diagrams or maps. A
-    chart that is drawn alone has a file.
+    """A page of `dpcontrol bench` with its diagrams or maps.
 
     Attributes:
         name: name on the command line and of the files.
@@ -404,9 +452,9 @@ class ChartPage(Documented):
     @property
     def pages(self) -> dict[str, tuple[Any, ...]]:
         """The diagrams of each picture, the first ones and then the appendix, by the end of the picture's file name."""
-        sheets = [self.parts[k : k + LEADING] for k in range(0, len(self.parts), LEADING)]
-        ends = ["", "-more", *(f"-more-{k}" for k in range(2, len(sheets)))]
-        return dict(zip(ends, sheets, strict=False))
+        pictures = [self.parts[k : k + LEADING] for k in range(0, len(self.parts), LEADING)]
+        name_ends = ["", "-more", *(f"-more-{k}" for k in range(2, len(pictures)))]
+        return dict(zip(name_ends, pictures, strict=False))
 
     @property
     def complaints(self) -> tuple[str, ...]:
@@ -422,11 +470,12 @@ class ChartPage(Documented):
 def measured_maps(
     progress: Progress, *plans: tuple[EdgeMap, Callable[[Any], Border], Sequence[Any]]
 ) -> tuple[EdgeMap, ...]:
-    """Return each map with its borders at its values.
+    """Return maps of two settings with the borders between success and failure, measured along lines of one setting.
 
     Args:
         progress: called with a label and the completed share.
-        *plans: (map without borders, border at a value, values).
+        *plans: a map without borders, the function that finds the border at a value of the first setting, and all
+            values of this setting.
     """
     maps = []
     for k, (edge_map, border, values) in enumerate(plans):
@@ -436,6 +485,14 @@ def measured_maps(
 
 
 def _drawn(module: str, name: str, quick: bool, progress: Progress) -> ChartPage:
+    """Return the chart of one of this package's modules, which is imported only now.
+
+    Args:
+        module: name of the module.
+        name: name of its function without "_chart".
+        quick: reduce the work.
+        progress: called with a label and the completed share.
+    """
     return getattr(importlib.import_module(f"dpcontrol.bench.{module}"), f"{name}_chart")(quick, progress)
 
 
@@ -463,5 +520,5 @@ def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
         InputError: a name is unknown.
     """
     check_choice("chart", NAMES, *names)
-    chosen = [chart for name in names for chart in GROUPS.get(name, (name,))]
-    return tuple(dict.fromkeys(chosen or CHARTS))
+    charts = [chart for name in names for chart in GROUPS.get(name, (name,))]
+    return tuple(dict.fromkeys(charts or CHARTS))

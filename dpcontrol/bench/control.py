@@ -60,10 +60,11 @@ from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 
 RATE = 1000.0
+"""Rate of the loop in the comparisons of controllers, Hz."""
 SMALL, LARGE = 0.02, 0.10
 """Mismatch: of the shipped itineraries, and of the success campaigns."""
 INITIAL_ERROR = 0.02
-"""rad."""
+"""Largest initial error of an angle, rad."""
 AUGMENTED = EkfSettings(**ADAPTIVE)
 _PLAIN = EkfSettings()
 _BARE = EkfSettings(augment=())
@@ -72,11 +73,19 @@ _ERROR = "rms error of the angles, rad"
 Controllers = Mapping[tuple[str, str], tuple[Callable[[SampledModel], Controller], EkfSettings]]
 """Controllers by method and setting, each with its filter."""
 Judge = Callable[[BatchRun], bool]
+"""Function of a run that returns True if it has fulfilled its task."""
 
 
 @dataclass(frozen=True)
 class ControlTask:
-    """A reference, its arms, and the judge of each controller's run."""
+    """A task that all compared controllers have in common.
+
+    Attributes:
+        title: name of the task.
+        reference: reference to follow.
+        arms: arms of the model.
+        judge: decides if a run has fulfilled the task.
+    """
 
     title: str
     reference: Reference
@@ -93,14 +102,14 @@ def control_chart(quick: bool, progress: Progress) -> ChartPage:
     """
     seeds = 4 if quick else 20
     progress("control, one turn", 0.0)
-    tracking = _tracking(seeds)
+    tracking_panels = _tracking(seeds)
     progress("control, an orbit", 0.3)
-    orbit = _orbit((4, 16), seeds, 4.0) if quick else _orbit((1, 2, 3, 4, 8, 16, 32), 10, 10.0)
+    orbit_panels = _orbit((4, 16), seeds, 4.0) if quick else _orbit((1, 2, 3, 4, 8, 16, 32), 10, 10.0)
     weights = (0.1, 1.0, 10.0) if quick else (0.1, 1.0, 10.0, 100.0)
     return ChartPage(
         name="control",
         title=f"Control, arms {SMALL:.0%} and {LARGE:.0%} off",
-        parts=(*tracking, *orbit, _hold(weights, seeds)),
+        parts=(*tracking_panels, *orbit_panels, _hold(weights, seeds)),
         reading=(
             "Upper diagrams of a task: rms error of the angles against a tick's time; beside them the share of runs "
             f"at {LARGE:.0%} mismatch that fail.",
@@ -116,7 +125,9 @@ def control_chart(quick: bool, progress: Progress) -> ChartPage:
 def measured(
     task: ControlTask, controllers: Controllers, *, seeds: int, default: tuple[str, str] = ("", "")
 ) -> Diagram:
-    """Return error against the seconds of a tick, for successful controllers; the others have reasons.
+    """Return the diagram of error against the seconds of a tick.
+
+    Controllers of which no run succeeds have no point but a reason.
 
     Args:
         task: reference, arms and judge.
@@ -124,21 +135,21 @@ def measured(
         seeds: runs at each mismatch.
         default: method and setting of the default.
     """
-    tried, runs = [], {}
+    alternatives, trials = [], {}
     for (method, setting), (make, estimator) in controllers.items():
         settings = LoopSettings(seed=0, rate=RATE, estimator=estimator, initial_error=INITIAL_ERROR)
         controller = make(sampled_model(task.arms, RATE))
-        runs[method, setting] = partial(outcome, task, controller, settings, seeds=seeds)
-        tick = tick_of(task, controller, settings)
-        tried.append(Alternative(method, setting, tick, default=(method, setting) == default))
-    return compare(tried, lambda alternative, _: runs[alternative.method, alternative.setting]())
+        trials[method, setting] = partial(outcome, task, controller, settings, seeds=seeds)
+        tick_work = tick_of(task, controller, settings)
+        alternatives.append(Alternative(method, setting, tick_work, default=(method, setting) == default))
+    return compare(alternatives, lambda alternative, _: trials[alternative.method, alternative.setting]())
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:
-    """Return the results of runs at each mismatch.
+    """Run a controller at each mismatch and judge its runs; return a text if none succeeds at the small one.
 
-    If none succeeded at the small one, return a note. The error is that of completed runs. Others: shares of completed
-    runs at both, rms of the feedback in m/s² at the small one.
+    The error is that of completed runs. Other measures are the shares of completed runs at both mismatches, and the rms
+    of the feedback at the small one, m/s².
 
     Args:
         task: reference, arms and judge.
@@ -149,14 +160,14 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
     assembly = Assembly(task.reference, task.arms, settings, law=controller)
     runs = assembly.batch([*range(seeds)] * 2, mismatches=[SMALL] * seeds + [LARGE] * seeds)
     small, large = runs[:seeds], runs[seeds:]
-    good = [run for run in small if task.judge(run)]
-    if not good:
+    completed = [run for run in small if task.judge(run)]
+    if not completed:
         return f"none of {seeds} runs completed at {SMALL:.0%} mismatch"
     n = task.arms.count
-    squares = [np.mean((run.truth[:, :n] - run.references[:, :n]) ** 2) for run in good]
+    squares = [np.mean((run.truth[:, :n] - run.references[:, :n]) ** 2) for run in completed]
     measures = {
         "success": sum(task.judge(run) for run in large) / seeds,
-        "success_small": len(good) / seeds,
+        "success_small": len(completed) / seeds,
         "effort": float(np.sqrt(np.mean([run.rms_feedback**2 for run in small]))),
     }
     note = f"{measures['success']:.0%} complete, feedback {measures['effort']:.3f} m/s² rms"
@@ -164,9 +175,9 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
 
 
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
-    """Return a judge of runs that must hold an orbit to their end.
+    """Return a judge of runs that must hold an orbit: a function of a run, which is True if the run succeeds.
 
-    The last period is judged, by the least distance over phases and turns.
+    Each tick of the last period must be within `near` of some phase of the orbit, modulo whole turns.
 
     Args:
         orbit_angles: angles (M, n) along the orbit, rad.
@@ -175,24 +186,25 @@ def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
     """
 
     def judge(run: BatchRun) -> bool:
+        """Return True for a run that ended regularly and held the orbit in its last period."""
         if run.ending is not Ending.FINISHED:
             return False
         n = orbit_angles.shape[1]
-        last = run.truth[run.times > run.times[-1] - period, None, :n][::4] - orbit_angles
-        away = np.abs(last - 2 * np.pi * np.rint(last / (2 * np.pi))).max(2).min(1)
-        return bool(away.max() <= near)
+        differences = run.truth[run.times > run.times[-1] - period, None, :n][::4] - orbit_angles
+        distances = np.abs(differences - 2 * np.pi * np.rint(differences / (2 * np.pi))).max(2).min(1)
+        return bool(distances.max() <= near)
 
     return judge
 
 
 def held_orbit() -> SustainedOrbit:
-    """Return the lab's sustained orbit about down-up, at -0.07 J."""
+    """Return the lab's sustained orbit about Down-Up at -0.07 J, which several charts hold."""
     lab = load_model("lab")
     return sustained_orbit(lyapunov_orbit(lab.system, "down-up", energy=-0.07), lab.arms)
 
 
 def keeps(orbit: SustainedOrbit) -> Judge:
-    """Return a judge of runs that hold a sustained orbit, as `held` does, near its angles.
+    """Return a judge of runs that must hold a sustained orbit, by the distance of their angles in the last period.
 
     Args:
         orbit: orbit to hold.
@@ -201,12 +213,13 @@ def keeps(orbit: SustainedOrbit) -> Judge:
 
 
 def _completed(reference: Reference, run: BatchRun) -> bool:
-    flown = Flown.of(run, rate_hz=RATE, limits=reference.limits)
-    return verdict_on(flown, reference).completed
+    """Return True if a run has completed the plan of its reference."""
+    motion = Flown.of(run, rate_hz=RATE, limits=reference.limits)
+    return verdict_on(motion, reference).completed
 
 
 def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -> Callable[[], None]:
-    """Return a function to time that runs a tick of the loop along the path, without its bench.
+    """Return a function to time, which computes the next tick of the loop along the reference without a bench.
 
     Args:
         task: reference and arms.
@@ -214,30 +227,38 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
         settings: settings of the loop.
     """
     ticker = Assembly(task.reference, task.arms, settings, law=controller).ticker()
-    where, ticks = ticker.program.model.position_indices, cycle(range(ticker.count))
+    position_indices, ticks = ticker.program.model.position_indices, cycle(range(ticker.count))
 
     def step() -> None:
+        """Compute one tick for a reading on the reference."""
         k = next(ticks)
         if not k:
             ticker.begin()
         # A constant state would let the clocks of stateful controllers lose it.
         state = ticker.references[k - 1] if k else controller.first_state
-        ticker(k, Reading(0.0, state[where]))
+        ticker(k, Reading(0.0, state[position_indices]))
 
     return step
 
 
 def _pair(task: ControlTask, diagram: Diagram, *, why: str) -> tuple[Diagram, Diagram]:
-    """Return the task's two panels against a tick's time: the error, and failures at the large mismatch."""
+    """Return a task's two diagrams against a tick's time: the error, and the failures at the large mismatch.
+
+    Args:
+        task: the task.
+        diagram: its controllers as points.
+        why: reason for keeping a default off the front.
+    """
     error = replace(
         diagram, title=f"{task.title}, error", x_label="time of a tick, filter and law, s", y_label=_ERROR, why=why
     )
-    failed = tuple(replace(p, error=1 - p.others["success"]) for p in diagram.points)
-    share = f"share that fails at {LARGE:.0%} mismatch"
-    return error, replace(error, title=f"{task.title}, failures", y_label=share, points=failed, log_y=False)
+    failures = tuple(replace(point, error=1 - point.others["success"]) for point in diagram.points)
+    label = f"share that fails at {LARGE:.0%} mismatch"
+    return error, replace(error, title=f"{task.title}, failures", y_label=label, points=failures, log_y=False)
 
 
 def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
+    """Return the diagrams of laws that follow one turn of the outer arm, from `seeds` runs at each mismatch."""
     itinerary = load_itinerary("outer-turn")
     reference, arms = make_plan(itinerary).reference, itinerary.model.arms
     task = ControlTask("One turn", reference, arms, partial(_completed, reference))
@@ -254,6 +275,13 @@ def _tracking(seeds: int) -> tuple[Diagram, Diagram]:
 
 
 def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagram, Diagram, Diagram]:
+    """Return the diagrams of laws that hold an orbit: error, failures, and effort of pulses.
+
+    Args:
+        sections: numbers of pulses per period.
+        seeds: runs at each mismatch.
+        seconds: duration of a run, s.
+    """
     orbit = held_orbit()
     task = ControlTask("An orbit", orbit.reference, orbit.arms, keeps(orbit))
 
@@ -270,27 +298,29 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagr
     controllers |= {("OGY, classic", f"k = {k}"): (pulses(k, ClassicOgySettings), _BARE) for k in sections[-2:]}
     why = "a periodic gain at every tick continues the laws for references"
     error, failures = _pair(task, measured(task, controllers, seeds=seeds, default=("TVLQR", "time")), why=why)
-    shipped = f"OGY, k = {OgySettings().sections}"
-    spending = tuple(
-        replace(p, seconds=max(p.others["effort"], 1e-9), default=p.name == shipped)
-        for p in error.points
-        if p.method.startswith("OGY")
+    default_name = f"OGY, k = {OgySettings().sections}"
+    effort_points = tuple(
+        replace(point, seconds=max(point.others["effort"], 1e-9), default=point.name == default_name)
+        for point in error.points
+        if point.method.startswith("OGY")
     )
     why = "more sections detect an error earlier, and then need less effort"
     return error, failures, Diagram(
-        "An orbit by pulses, effort", "rms of the feedback, m/s²", _ERROR, spending, why=why
+        "An orbit by pulses, effort", "rms of the feedback, m/s²", _ERROR, effort_points, why=why
     )  # fmt: skip
 
 
 def _hold(weights: tuple[float, ...], seeds: int) -> Diagram:
-    """Return the panel of both arms held up.
+    """Return the diagram of laws that hold both arms up: error against effort.
 
-    `weights` are multiples of the default effort weight.
+    Args:
+        weights: weights of the effort, as multiples of the default.
+        seeds: runs at each mismatch.
     """
     start = np.array([np.pi, np.pi, 0.0, 0.0])
     state = np.append(start, [0.0, 0.0])
-    place = still(state, 1.0, method=method_named("radau-5"), limits=Limits(), interval=0.1)
-    task = ControlTask("Both arms up", place, load_model("lab").arms, held(start[None, :2], period=1.0))
+    rest = still(state, 1.0, method=method_named("radau-5"), limits=Limits(), interval=0.1)
+    task = ControlTask("Both arms up", rest, load_model("lab").arms, held(start[None, :2], period=1.0))
     plain = HoldSettings()
     controllers: Controllers = {
         ("LQR", f"effort × {w:g}"): (
@@ -301,7 +331,7 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Diagram:
     diagram = measured(task, controllers, seeds=seeds, default=("LQR", "effort × 1"))
     return replace(
         diagram, title="Both arms up, LQR", x_label="rms of the feedback, m/s²", y_label=_ERROR,
-        points=tuple(replace(p, seconds=p.others["effort"]) for p in diagram.points),
+        points=tuple(replace(point, seconds=point.others["effort"]) for point in diagram.points),
         why="the same weights as TVLQR's, so that a hold passes into a motion without a jump",
     )  # fmt: skip
 
@@ -314,7 +344,7 @@ CART_RESOLUTION = 1e-6
 ZERO_ERROR = 3e-3
 """Reading accuracy of an arm's resting position, rad."""
 CUTOFFS = (10.0, 30.0, 100.0, math.inf)
-"""Hz."""
+"""Cutoff frequencies of differentiated readings, Hz."""
 AUGMENTS = ((), ("zeros",), EkfSettings().augment, AUGMENTED.augment)
 _SWING = (0.4, 2.8, 2.0, -3.0, 0.0, 0.0)
 
@@ -355,9 +385,12 @@ def estimation_chart(quick: bool, progress: Progress) -> ChartPage:
 
 @dataclass(frozen=True, eq=False)
 class KnownSwing:
-    """A swing with known input and states.
+    """A simulated swing with known input and states, on which estimators are compared.
 
-    It has commands (K,) m/s², true states (K, N), and relative angles with zeros and the cart (K, n+1).
+    Attributes:
+        commands: accelerations (K,) of the cart, m/s².
+        states: true states (K, N).
+        joints: relative angles with the encoders' zeros, rad, and the cart's position, m (K, n+1).
     """
 
     commands: Array
@@ -365,19 +398,19 @@ class KnownSwing:
     joints: Array
 
     def measured(self, counts: int) -> Array:
-        """Return absolute angles and the cart's position (K, n+1).
+        """Return the readings (K, n+1) of encoders at a resolution: absolute angles and the cart's position.
 
         Args:
             counts: encoder counts per turn.
         """
         n = self.joints.shape[1] - 1
         steps = np.array([2 * np.pi / counts] * n + [CART_RESOLUTION])
-        read = np.rint(self.joints / steps) * steps
-        return np.column_stack([np.cumsum(read[:, :n], axis=1), read[:, n]])
+        rounded = np.rint(self.joints / steps) * steps
+        return np.column_stack([np.cumsum(rounded[:, :n], axis=1), rounded[:, n]])
 
 
 def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: float, zero_error: float) -> KnownSwing:
-    """Return a free-hand swing under a sine of 0.5 m/s².
+    """Return a swing of a drawn plant from `_SWING`, while the cart is driven by a sine of 0.5 m/s².
 
     Args:
         arms: arms of the model.
@@ -386,42 +419,52 @@ def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: floa
         mismatch: relative error of the plant's parameters.
         zero_error: largest error of the encoder zeros, rad.
     """
-    random = np.random.default_rng(seed)
-    plant = arms.mismatched(mismatch, random)
+    generator = np.random.default_rng(seed)
+    plant = arms.mismatched(mismatch, generator)
     model = SampledModel(equations_of(plant, Level.CART), plant.base(), period=PERIOD)
     n, count = arms.count, round(seconds / PERIOD)
     commands = 0.5 * np.sin(2.5 * PERIOD * np.arange(count))
-    x = np.array(_SWING)
-    x[:n] += INITIAL_ERROR * random.uniform(-1, 1, n)
-    states = np.empty((count, len(x)))
+    state = np.array(_SWING)
+    state[:n] += INITIAL_ERROR * generator.uniform(-1, 1, n)
+    states = np.empty((count, len(state)))
     for k, command in enumerate(commands.tolist()):
-        x = model.step(x, command) if k else x
-        states[k] = x
-    zeros = zero_error * random.uniform(-1, 1, n)
+        state = model.step(state, command) if k else state
+        states[k] = state
+    zeros = zero_error * generator.uniform(-1, 1, n)
     relative = np.diff(states[:, :n], axis=1, prepend=0.0) + zeros
     return KnownSwing(commands, states, np.column_stack([relative, states[:, 2 * n]]))
 
 
 def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, quick: bool) -> Diagram:
+    """Return the diagram of all estimators at one resolution of the encoders: error against the time of a tick.
+
+    Args:
+        arms: arms of the model.
+        swings: swings with known states.
+        counts: encoder counts per turn.
+        quick: fewer settings of the UKF.
+    """
     model = sampled_model(arms, 1 / PERIOD)
-    trials, tried, measured = {}, [], swings[0].measured(counts)
+    trials, alternatives, readings = {}, [], swings[0].measured(counts)
     for name, kind in (("EKF, compiled", "ekf"), ("UKF, filterpy", "ukf")):
         for augment in AUGMENTS[:2] if quick and kind == "ukf" else AUGMENTS:
             # Every method has the settings of the law that requires these extras.
             changes = ADAPTIVE if augment == AUGMENTS[3] else {"augment": augment}
             estimator = make_estimator(ESTIMATORS[kind](**changes), model, noise=noise_of(arms, counts))
-            last = estimator.update(estimator.first(np.array(_SWING)), measured[0])
+            first_estimate = estimator.update(estimator.first(np.array(_SWING)), readings[0])
             label = "all extras" if augment == AUGMENTS[3] else "+".join(augment) or "state only"
-            work = partial(estimator.step, last, 0.1, measured[1])
-            tried.append(Alternative(name, label, work, default=kind == "ekf" and augment in AUGMENTS[2:]))
+            work = partial(estimator.step, first_estimate, 0.1, readings[1])
+            alternatives.append(Alternative(name, label, work, default=kind == "ekf" and augment in AUGMENTS[2:]))
             trials[name, label] = partial(estimator_trial, estimator, swings, counts=counts)
-    joints, rates = measured[:, : arms.count], swings[0].states[0, arms.count : 2 * arms.count]
+    joints, rates = readings[:, : arms.count], swings[0].states[0, arms.count : 2 * arms.count]
     for cutoff in CUTOFFS:
         label = f"{cutoff:g} Hz" if cutoff < math.inf else "no low pass"
-        tried.append(Alternative("differences", label, partial(differences, rates, joints[0], joints[1], cutoff)))
+        alternatives.append(
+            Alternative("differences", label, partial(differences, rates, joints[0], joints[1], cutoff))
+        )
         trials["differences", label] = partial(derivative_trial, cutoff, swings, counts=counts)
     return replace(
-        compare(tried, lambda alternative, _: trials[alternative.method, alternative.setting]()),
+        compare(alternatives, lambda alternative, _: trials[alternative.method, alternative.setting]()),
         title=f"{counts} counts per turn", x_label="time of a tick, s", y_label="rms error of the arms' state (scaled)",
         why="feedback on the state alone fails on zeros of a few milliradians, and estimating them costs less than "
         "twice the time; parameters are estimated if a controller requires them",
@@ -436,38 +479,47 @@ def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: i
         swings: swings with known states.
         counts: encoder counts per turn.
     """
-    errors, nis, normalised = [], [], []
-    m = swings[0].joints.shape[1]
-    n = m - 1
+    errors, nis, nees_values = [], [], []
+    sensors = swings[0].joints.shape[1]
+    n = sensors - 1
     zeros = [k for k, name in enumerate(estimator.extra_names) if name.startswith("zero_")]
-    for flown in swings:
-        measured = flown.measured(counts)
-        bias = np.cumsum(flown.joints[0, :n] - np.diff(flown.states[0, :n], prepend=0.0))
-        estimate = estimator.update(estimator.first(np.array(_SWING)), measured[0])
-        for k in range(1, len(flown.commands)):
+    for known_swing in swings:
+        readings = known_swing.measured(counts)
+        bias = np.cumsum(known_swing.joints[0, :n] - np.diff(known_swing.states[0, :n], prepend=0.0))
+        estimate = estimator.update(estimator.first(np.array(_SWING)), readings[0])
+        for k in range(1, len(known_swing.commands)):
             # A command acts over the period that ends with the reading.
-            estimate = estimator.step(estimate, float(flown.commands[k]), measured[k])
+            estimate = estimator.step(estimate, float(known_swing.commands[k]), readings[k])
             if k < SETTLED:
                 continue
-            errors.append(_scaled(estimate.state - flown.states[k], n))
+            errors.append(_scaled(estimate.state - known_swing.states[k], n))
             nis.append(estimate.nis)
             if k % 20 == 0:
-                normalised.append(_nees(estimator, estimate, flown.states[k], bias, zeros))
-    inside = share_inside(np.array(nis), m)
-    of_state = share_inside(np.array(normalised), swings[0].states.shape[1] + len(zeros))
-    note = f"NIS {inside:.0%}, NEES {of_state:.0%} inside"
-    return Judged(_rms(errors), {"nis_inside_95": inside, "nees_inside_95": of_state}, note)
+                nees_values.append(_nees(estimator, estimate, known_swing.states[k], bias, zeros))
+    nis_share = share_inside(np.array(nis), sensors)
+    nees_share = share_inside(np.array(nees_values), swings[0].states.shape[1] + len(zeros))
+    note = f"NIS {nis_share:.0%}, NEES {nees_share:.0%} inside"
+    return Judged(_rms(errors), {"nis_inside_95": nis_share, "nees_inside_95": nees_share}, note)
 
 
 def _nees(estimator: Estimator, estimate: Estimate, truth: Array, bias: Array, zeros: list[int]) -> float:
+    """Return the normalised squared error of an estimate of states and encoder zeros.
+
+    Args:
+        estimator: filter.
+        estimate: its estimate.
+        truth: true state (N,).
+        bias: true zero errors (n,) of absolute angles, rad.
+        zeros: indices of the zeros among the estimator's extras.
+    """
     n = len(truth)
-    which = [*range(n), *(n + k for k in zeros)]
+    rows = [*range(n), *(n + k for k in zeros)]
     error = np.concatenate([truth - estimate.state, bias[: len(zeros)] - estimate.extra[zeros]])
-    return float(nees(error, estimator.covariance(estimate)[np.ix_(which, which)]))
+    return float(nees(error, estimator.covariance(estimate)[np.ix_(rows, rows)]))
 
 
 def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Array:
-    """Return rates (m,) from two measurements of position.
+    """Return rates (m,) from two measurements of position, as an estimator without a model computes them.
 
         v_k = a v_{k-1} + (1 - a) (z_k - z_{k-1}) / T,      a = e^{-2π f T}
 
@@ -493,29 +545,31 @@ def derivative_trial(cutoff: float, swings: list[KnownSwing], *, counts: int) ->
         counts: encoder counts per turn.
     """
     errors = []
-    for flown in swings:
-        measured = flown.measured(counts)
-        n = measured.shape[1] - 1
-        rates = flown.states[0, n : 2 * n]
-        for k in range(1, len(measured)):
-            rates = differences(rates, measured[k - 1, :n], measured[k, :n], cutoff)
+    for known_swing in swings:
+        readings = known_swing.measured(counts)
+        n = readings.shape[1] - 1
+        rates = known_swing.states[0, n : 2 * n]
+        for k in range(1, len(readings)):
+            rates = differences(rates, readings[k - 1, :n], readings[k, :n], cutoff)
             if k >= SETTLED:
-                state = np.concatenate([measured[k, :n], rates])
-                errors.append(_scaled(state - flown.states[k, : 2 * n], n))
+                state = np.concatenate([readings[k, :n], rates])
+                errors.append(_scaled(state - known_swing.states[k, : 2 * n], n))
     return Judged(_rms(errors), note="no covariance")
 
 
 def _rms(errors: list[Array]) -> float:
+    """Return the root mean square of scaled errors, in six digits."""
     # Two programs for the same equations differ by rounding, which must not decide the front.
     return float(f"{np.sqrt(np.mean(np.square(errors))):.6g}")
 
 
 def _scaled(away: Array, n: int) -> Array:
+    """Return the errors (2n,) of the arms' angles and rates, in units of π rad and 10 rad/s."""
     return np.concatenate([away[:n] / ANGLE_SCALE, away[n : 2 * n] / RATE_SCALE])
 
 
 def noise_of(arms: ArmChainParameters, counts: int) -> Array:
-    """Return the estimators' noise covariance (n+1, n+1).
+    """Return the covariance (n+1, n+1) of the positions that encoders of a resolution measure, as filters assume it.
 
     Args:
         arms: n arms.

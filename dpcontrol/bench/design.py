@@ -37,7 +37,9 @@ from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 from dpcontrol.walks.shadowing import WalkSolver
 
 ENERGY = -0.07
+"""Energy of the orbits and connections, J."""
 ROUNDING, GAP_ROUNDING = 1e-14, 1e-13
+"""Errors below which results differ by rounding only, scaled: of states, and of gaps between pieces."""
 SLOWER, WIDER = 51.0, 1e6
 """hiten 0.5.4 on L1 to L2, end to end: stored multiple of this package's seconds, and least ratio of the gaps."""
 
@@ -80,20 +82,25 @@ def orbit_panel(progress: Progress, *, quick: bool) -> Diagram:
     """
     system = load_model("lab").system
     truth = refine_orbit(lyapunov_orbit(system, "down-up", energy=ENERGY)).state.astype(float)
-    base = ContinuationSettings()
-    settings = [("step of the continuation", f"{s:g}", replace(base, step=s)) for s in (0.025, 0.05, 0.1, 0.2, 0.4)]
-    settings += [("tolerance", f"{t:.0e}", replace(base, tolerance=t)) for t in (1e-4, 1e-7, 1e-10)]
-    tried = [
-        Alternative(method, label, partial(lyapunov_orbit, system, "down-up", energy=ENERGY, settings=chosen),
-                  default=chosen == base)
-        for method, label, chosen in settings
+    defaults = ContinuationSettings()
+    settings = [
+        ("step of the continuation", f"{step:g}", replace(defaults, step=step)) for step in (0.025, 0.05, 0.1, 0.2, 0.4)
+    ]
+    settings += [
+        ("tolerance", f"{tolerance:.0e}", replace(defaults, tolerance=tolerance)) for tolerance in (1e-4, 1e-7, 1e-10)
+    ]
+    alternatives = [
+        Alternative(method, label, partial(lyapunov_orbit, system, "down-up", energy=ENERGY, settings=case_settings),
+                  default=case_settings == defaults)
+        for method, label, case_settings in settings
     ]  # fmt: skip
 
     def judge(_: Alternative[LyapunovOrbit], orbit: LyapunovOrbit) -> Judged | str:
+        """Return the largest scaled error of an orbit's state, or the reason for a missing orbit."""
         return Judged(float(np.abs((orbit.state - truth) / system.scale).max())) if orbit.converged else orbit.status
 
     return replace(
-        compare(tried, judge, rounds=15 if quick else 45, progress=progress),
+        compare(alternatives, judge, rounds=15 if quick else 45, progress=progress),
         title="Lyapunov orbit about down-up", x_label="time, s", y_label="error of the orbit, scaled", floor=ROUNDING,
         why="longer steps find other orbits near the ends of families; one orbit takes milliseconds either way",
     )  # fmt: skip
@@ -104,7 +111,9 @@ Truth = tuple[Array, Array]
 
 
 def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
-    """Return connections of an orbit to itself, without mirror images.
+    """Return connections of an orbit to itself in double precision and in 113-bit arithmetic.
+
+    Searches are judged by them. Mirror images are left out.
 
     Args:
         orbit: Lyapunov orbit.
@@ -115,7 +124,7 @@ def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
 
 
 def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]) -> float:
-    """Return the largest scaled error of matching states, infinite if one is missing.
+    """Return the largest scaled error of the found states that match the true ones, infinite if one is missing.
 
     Args:
         orbit: orbit of the connections.
@@ -127,7 +136,9 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
 
 
 def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progress, *, quick: bool) -> Diagram:
-    """Return time and error of connection searches by distance of the seeds, first phases, chord and tolerance.
+    """Return the diagram of connection searches: time and error by the settings of the search.
+
+    These are the distance of the seeds, the number of first phases, the chord of the cuts, and the start of shooting.
 
     Args:
         orbit: orbit of the connections.
@@ -135,29 +146,38 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
         progress: called with a label and the completed share.
         quick: fewer settings.
     """
-    base = ConnectionSettings()
+    defaults = ConnectionSettings()
     expected = len(find_connections(orbit, orbit).connections)
-    cases = [("seed distance", f"{d:.0e}", replace(base, distance=d)) for d in (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-6)]
-    cases += [("first phases", f"{n}", replace(base, cut=CutSettings(first_phases=n))) for n in (12, 25, 50, 200)]
-    cases += [("chord", f"{c:g}", replace(base, cut=CutSettings(chord=c))) for c in (0.2, 0.1, 0.025)]
-    cases += [("shooting from", f"{f:.0e}", replace(base, farthest=f)) for f in (1e-4, 1e-5, 1e-6)]
+    cases = [
+        ("seed distance", f"{distance:.0e}", replace(defaults, distance=distance))
+        for distance in (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-6)
+    ]
+    cases += [("first phases", f"{n}", replace(defaults, cut=CutSettings(first_phases=n))) for n in (12, 25, 50, 200)]
+    cases += [("chord", f"{c:g}", replace(defaults, cut=CutSettings(chord=c))) for c in (0.2, 0.1, 0.025)]
+    cases += [("shooting from", f"{start:.0e}", replace(defaults, farthest=start)) for start in (1e-4, 1e-5, 1e-6)]
     if quick:
         cases = [cases[k] for k in (0, 6, 10)]
 
-    def searched(settings: ConnectionSettings) -> list[Array]:
+    def found_states(settings: ConnectionSettings) -> list[Array]:
+        """Return the states (N,) of all connections that a search with these settings finds."""
         return [c.state for c in find_connections(orbit, orbit, settings=settings).connections]
 
-    tried = [Alternative(method, label, partial(searched, s)) for method, label, s in cases]
-    tried.append(Alternative("chosen", "1e-4, 100, 0.05, 3e-7", partial(searched, base), default=True))
-    tried += [Alternative("two flights", f"{d:.0e}", partial(_two_flights, orbit, d)) for d in (1e-3, 1e-4, 1e-6)]
+    alternatives = [
+        Alternative(method, label, partial(found_states, case_settings)) for method, label, case_settings in cases
+    ]
+    alternatives.append(Alternative("chosen", "1e-4, 100, 0.05, 3e-7", partial(found_states, defaults), default=True))
+    alternatives += [
+        Alternative("two flights", f"{distance:.0e}", partial(_two_flights, orbit, distance))
+        for distance in (1e-3, 1e-4, 1e-6)
+    ]
 
     def judge(alternative: Alternative[list[Array]], states: list[Array]) -> Judged | str:
         # Two flights omit intersections that are images of others.
-        least, error = len(truths) if alternative.method == "two flights" else expected, worst(orbit, states, truths)
-        return Judged(error) if len(states) >= least and np.isfinite(error) else f"{len(states)} of {least} found"
+        required, error = len(truths) if alternative.method == "two flights" else expected, worst(orbit, states, truths)
+        return Judged(error) if len(states) >= required and np.isfinite(error) else f"{len(states)} of {required} found"
 
     return replace(
-        compare(tried, judge, rounds=9 if quick else 15, most=0.4 if quick else 6.0, progress=progress),
+        compare(alternatives, judge, rounds=9 if quick else 15, most=0.4 if quick else 6.0, progress=progress),
         title=f"{expected} connections of down-up with itself", x_label="time, s",
         y_label="error of the worst, scaled", floor=ROUNDING,
         why="fewer phases or longer chords save part of the time here and lose connections at other energies",
@@ -165,7 +185,10 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
 
 
 def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
-    """Return the states at the unrefined intersections of cuts whose seeds are at `distance`."""
+    """Return the states (N,) at which the cuts of two tubes intersect, without refinement.
+
+    Such states show the error that multiple shooting removes. `distance` is that of the seeds from the orbit.
+    """
     system, settings = orbit.system, ConnectionSettings(distance=distance)
     section = system.section_between(orbit.saddle, orbit.saddle)
     manifold = local_manifold(orbit, distance)
@@ -182,15 +205,20 @@ def three_body_panel(*, quick: bool) -> Diagram:
     """
     system = load_model("three-body").system
 
-    def ours() -> ConnectionSearch:
+    def search_connections() -> ConnectionSearch:
+        """Return the connections from L1 to L2, orbits included: the task for which hiten was timed."""
         first, second = (lyapunov_orbit(system, name, energy=-1.5175) for name in ("L1", "L2"))
         return find_connections(first, second, hits=(2, 2))
 
     def judge(_: Alternative[ConnectionSearch], search: ConnectionSearch) -> Judged:
-        return Judged(max(c.residual for c in search.connections), note=f"{len(search.connections)} connections")
+        return Judged(
+            max(connection.residual for connection in search.connections), note=f"{len(search.connections)} connections"
+        )
 
-    turns = {"rounds": 3 if quick else 7, "most": 0.5 if quick else 4.0, "least": 1}
-    ours_measured = compare([Alternative("dpcontrol", "", ours, default=True)], judge, **turns).points[0]
+    measurement = {"rounds": 3 if quick else 7, "most": 0.5 if quick else 4.0, "least": 1}
+    ours_measured = compare(
+        [Alternative("dpcontrol", "", search_connections, default=True)], judge, **measurement
+    ).points[0]
     note = "ratios stored by tests/benchmarks/test_against_hiten.py: of a fresh process; gap at least"
     stored = Point(
         "hiten 0.5.4 (stored)",
@@ -211,6 +239,7 @@ def three_body_panel(*, quick: bool) -> Diagram:
 
 
 TIME = "time for a second of motion, s"
+"""Label of the axis of costs."""
 
 FINEST = ReferenceSettings(method="radau-10", interval=0.03)
 QUICK = (
@@ -253,7 +282,10 @@ def transcription_chart(quick: bool, progress: Progress) -> ChartPage:
 
 
 def crossing_problem() -> ReferenceProblem:
-    """Return the problem of crossing from down-up to up-down in 5.5 s with the lab's friction."""
+    """Return the optimisation problem that all transcriptions solve.
+
+    It is a crossing from Down-Up to Up-Down in 5.5 s, with the lab's friction and the shadowing orbit as the guess.
+    """
     model = load_model("lab")
     connections = find_connections(*orbits_between(model.system, "down-up", "up-down", 0.2)).connections
     orbit = WalkSolver(connections).solve(connections[:1], [])
@@ -261,15 +293,15 @@ def crossing_problem() -> ReferenceProblem:
 
 
 def transcribed(problem: ReferenceProblem, settings: ReferenceSettings) -> Solved:
-    """Return the program's solution from the problem's guess, on one even mesh.
+    """Return the solution of a problem on one even mesh, from the problem's guess, without refinement of the mesh.
 
     Args:
         problem: problem with a guess.
         settings: method, interval and solver.
     """
     mesh = even_mesh(problem.duration, settings.interval)
-    first = first_trajectory(problem, method_named(settings.method), mesh)
-    return solve(problem, first, settings=settings, limits=problem.limits)
+    initial_trajectory = first_trajectory(problem, method_named(settings.method), mesh)
+    return solve(problem, initial_trajectory, settings=settings, limits=problem.limits)
 
 
 def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> tuple[Diagram, Diagram]:
@@ -280,10 +312,12 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         progress: called with a label and the completed share.
         quick: fewer settings.
     """
-    finest = transcribed(problem, FINEST).cost
-    settings = [ReferenceSettings(method=name, interval=t) for name, t in (QUICK if quick else QUICK + WHOLE)]
-    further = (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]
-    settings += [ReferenceSettings(method=name, interval=t, solver="fatrop") for name, t in further]
+    finest_cost = transcribed(problem, FINEST).cost
+    settings = [
+        ReferenceSettings(method=name, interval=interval) for name, interval in (QUICK if quick else QUICK + WHOLE)
+    ]
+    fatrop_cases = (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]
+    settings += [ReferenceSettings(method=name, interval=interval, solver="fatrop") for name, interval in fatrop_cases]
 
     def judge(_: Alternative[Solved], solved: Solved) -> Judged | str:
         if not solved.succeeded:
@@ -291,24 +325,30 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         measures = {"cost": solved.cost, "iterations": float(solved.iterations)}
         return Judged(float(error_between_nodes(problem, solved.trajectory).max()), measures)
 
-    tried = [_alternative(problem, s, transcribed) for s in settings]
-    diagram = compare(tried, judge, **_turns(quick=quick), progress=progress)
-    costs = tuple(replace(p, error=abs(p.others["cost"] / finest - 1)) for p in diagram.points)
+    alternatives = [_alternative(problem, case_settings, transcribed) for case_settings in settings]
+    diagram = compare(alternatives, judge, **_turns(quick=quick), progress=progress)
+    costs = tuple(replace(point, error=abs(point.others["cost"] / finest_cost - 1)) for point in diagram.points)
     label = f"cost, off {FINEST.method} at {1e3 * FINEST.interval:g} ms, share"
     error = replace(diagram, title="one even mesh, error", x_label=TIME, y_label="error between nodes, scaled")
     return error, replace(error, title="one even mesh, cost", y_label=label, points=costs)
 
 
 def _alternative(problem: ReferenceProblem, s: ReferenceSettings, find: Callable[..., Any]) -> Alternative[Any]:
-    """Return settings with the work that solves the problem by them."""
-    chosen = ReferenceSettings()
-    label = f"{1e3 * s.interval:g} ms{'' if s.solver == chosen.solver else ', ' + s.solver}"
-    label += "" if s.tolerance == chosen.tolerance else f", to {s.tolerance:.0e}"
+    """Return a transcription as an alternative to time.
+
+    Args:
+        problem: problem with a guess.
+        s: settings of the transcription.
+        find: function of problem and settings that solves the problem.
+    """
+    defaults = ReferenceSettings()
+    label = f"{1e3 * s.interval:g} ms{'' if s.solver == defaults.solver else ', ' + s.solver}"
+    label += "" if s.tolerance == defaults.tolerance else f", to {s.tolerance:.0e}"
     return Alternative(s.method, label, partial(find, problem, s), units=problem.duration)
 
 
 def _turns(*, quick: bool) -> dict[str, Any]:
-    """Return measurement settings for programs, which compile nothing at first."""
+    """Return the numbers of measurements for `compare`; these programs compile nothing in their first call."""
     return {"rounds": 9, "most": 0.6 if quick else 6.0, "least": 1 if quick else 3, "starts_up": False}
 
 
@@ -320,20 +360,29 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         progress: called with a label and the completed share.
         quick: fewer settings.
     """
-    chosen = ReferenceSettings()
+    defaults = ReferenceSettings()
     starts = [("radau-5", 0.02), ("radau-7", 0.05), ("radau-9", 0.09)]
-    more = [("hermite-simpson", 0.01), ("radau-5", 0.05), ("radau-7", 0.03), ("gauss-6", 0.05), ("radau-8", 0.07)]
-    cases = [ReferenceSettings(method=name, interval=t) for name, t in (starts if quick else starts + more)]
-    cases += [replace(chosen, tolerance=t) for t in ((1e-4,) if quick else (1e-3, 1e-4))]
-    cases += [] if quick else [replace(chosen, solver="fatrop")]
+    further_starts = [
+        ("hermite-simpson", 0.01),
+        ("radau-5", 0.05),
+        ("radau-7", 0.03),
+        ("gauss-6", 0.05),
+        ("radau-8", 0.07),
+    ]
+    cases = [ReferenceSettings(method=name, interval=t) for name, t in (starts if quick else starts + further_starts)]
+    cases += [replace(defaults, tolerance=t) for t in ((1e-4,) if quick else (1e-3, 1e-4))]
+    cases += [] if quick else [replace(defaults, solver="fatrop")]
 
     def judge(_: Alternative[Reference], reference: Reference) -> Judged | str:
         return Judged(reference.max_error_between_nodes) if reference.converged else reference.status
 
-    tried = [replace(_alternative(problem, s, find_reference), default=s == chosen) for s in cases]
+    alternatives = [
+        replace(_alternative(problem, case_settings, find_reference), default=case_settings == defaults)
+        for case_settings in cases
+    ]
     return replace(
-        compare(tried, judge, **_turns(quick=quick), progress=progress),
-        title=f"mesh refined to {chosen.tolerance:.0e}",
-        x_label=TIME, y_label="error between nodes, scaled", floor=chosen.tolerance,
+        compare(alternatives, judge, **_turns(quick=quick), progress=progress),
+        title=f"mesh refined to {defaults.tolerance:.0e}",
+        x_label=TIME, y_label="error between nodes, scaled", floor=defaults.tolerance,
         why="errors below the tolerance are a matter of chance; the tolerance is the requirement",
     )  # fmt: skip

@@ -36,9 +36,11 @@ from dpcontrol.pages.panels import name_point, name_rows, readable_ticks
 from dpcontrol.pages.style import FAINT, GOOD, INK, LIMIT, MARK, PAPER, SERIES
 
 Look = dict[str, Any]
+"""Arguments of matplotlib for the look of marks and lines."""
 Layer = tuple[str, Sequence[tuple[float, float]], Look]
 """Label in the key, or "", places in data, and look."""
 MARKS = "osD^v<>Pph*X8d"
+"""Marks of matplotlib, one for each method."""
 FLOOR = 1e-17
 """Drawn position of an error of exactly zero."""
 MOST_LABELS = 17
@@ -61,30 +63,37 @@ def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
         page: page of the chart.
         parts: diagrams or maps.
     """
-    methods = dict.fromkeys(p.method for part in parts if isinstance(part, Diagram) for p in part.points)
+    methods = dict.fromkeys(point.method for part in parts if isinstance(part, Diagram) for point in part.points)
     looks: dict[str, Look] = {
-        m: {"marker": MARKS[k % len(MARKS)], "color": SERIES[k % len(SERIES)]} for k, m in enumerate(methods)
+        method: {"marker": MARKS[k % len(MARKS)], "color": SERIES[k % len(SERIES)]} for k, method in enumerate(methods)
     }
     panels = [partial(_draw, part=part, looks=looks) for part in parts]
-    drawn = Page(page.title, page.chosen).grid(panels, across=min(len(parts), 2), height=3.7)
-    return drawn.text("\n".join(page.reading)).figure()
+    page_of_panels = Page(page.title, page.chosen).grid(panels, across=min(len(parts), 2), height=3.7)
+    return page_of_panels.text("\n".join(page.reading)).figure()
 
 
 def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
-    of_points = isinstance(part, Diagram)
-    layers = [layer for layer in (_points(part, looks) if of_points else _borders(part)) if layer[1]]
+    """Draw a diagram or a map into axes, with its result as title.
+
+    Args:
+        axes: axes of one panel.
+        part: the diagram or map.
+        looks: look of each method.
+    """
+    is_diagram = isinstance(part, Diagram)
+    layers = [layer for layer in (_points(part, looks) if is_diagram else _borders(part)) if layer[1]]
     for _, places, look in layers:
         axes.plot(*np.transpose(places), **look)
     if isinstance(part, Diagram):
-        for p in part.points:
-            name_point(axes, _label(part, p), _place(part, p), looks[p.method]["color"], weight="normal")
+        for point in part.points:
+            name_point(axes, _label(part, point), _place(part, point), looks[point.method]["color"], weight="normal")
     key(axes, [(label, {**look, "markersize": 6}) for label, _, look in layers if label])
     axes.margins(0.12, 0.1)
-    across, up = (part.x_label, part.y_label) if of_points else (part.y_label, part.x_label)
-    (x, x_unit), (y, y_unit) = split_label(across), split_label(up)
-    axes.set(title=f"{part.title}: {part.finding()}", xlabel=x, ylabel=y, xscale="log")
+    horizontal_label, vertical_label = (part.x_label, part.y_label) if is_diagram else (part.y_label, part.x_label)
+    (x_name, x_unit), (y_name, y_unit) = split_label(horizontal_label), split_label(vertical_label)
+    axes.set(title=f"{part.title}: {part.finding()}", xlabel=x_name, ylabel=y_name, xscale="log")
     readable_ticks(axes.xaxis, x_unit)
-    if not of_points:
+    if not is_diagram:
         name_rows(axes, [border.line for border in part.borders])
     elif part.log_y:
         axes.set_yscale("log")
@@ -95,46 +104,76 @@ def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
 
 
 def _place(panel: Diagram, point: Point) -> tuple[float, float]:
+    """Return the place of a point in data; an error of zero is drawn at `FLOOR` of a logarithmic axis."""
     return point.seconds, max(point.error, panel.floor, FLOOR) if panel.log_y else point.error
 
 
 def _points(panel: Diagram, looks: dict[str, Look]) -> Iterator[Layer]:
-    front = [] if panel.joined else [_place(panel, p) for p in panel.front]
+    """Yield the layers of a diagram: its front, lines of joined points, the points, and rings about defaults."""
+    front = [] if panel.joined else [_place(panel, point) for point in panel.front]
+    # Between two points, the best error so far stays constant, so the front is a staircase.
     steps = [*front[:1], *(corner for (_, up), (x, y) in pairwise(front) for corner in ((x, up), (x, y)))]
     yield "best at its cost", steps, {"color": FAINT, "linewidth": 4}
-    for method in dict.fromkeys(p.method for p in panel.points if panel.joined):
-        yield "", [_place(panel, p) for p in panel.points if p.method == method], {"color": FAINT, "linewidth": 2}
-    for p in panel.points:
-        face = PAPER if p.outside or p.stored else looks[p.method]["color"]
-        yield "", [_place(panel, p)], {**looks[p.method], "markersize": 6, "markerfacecolor": face, "zorder": 3}
-    yield "default of dpcontrol", [_place(panel, p) for p in panel.defaults], {**_DEFAULT, "zorder": 4}
+    for method in dict.fromkeys(point.method for point in panel.points if panel.joined):
+        yield (
+            "",
+            [_place(panel, point) for point in panel.points if point.method == method],
+            {"color": FAINT, "linewidth": 2},
+        )
+    for point in panel.points:
+        face_colour = PAPER if point.outside or point.stored else looks[point.method]["color"]
+        yield (
+            "",
+            [_place(panel, point)],
+            {**looks[point.method], "markersize": 6, "markerfacecolor": face_colour, "zorder": 3},
+        )
+    yield "default of dpcontrol", [_place(panel, point) for point in panel.defaults], {**_DEFAULT, "zorder": 4}
 
 
 def _borders(edge_map: EdgeMap) -> Iterator[Layer]:
+    """Yield the layers of a map: trials that work or fail, measured and predicted borders, and the default.
+
+    Each border has a row k, and values are on the horizontal axis.
+    """
     rows = list(enumerate(edge_map.borders))
     marks: Look = {"linestyle": "none", "markersize": 5}
-    trials = [(y, k, attempt.works) for k, b in rows for y, attempt in b.trials]
-    yield edge_map.near, [(y, k) for y, k, works in trials if works], {**marks, "marker": "o", "color": GOOD}
-    yield edge_map.far, [(y, k) for y, k, works in trials if not works], {**marks, "marker": "x", "color": LIMIT}
-    measured = [(b.measured, k) for k, b in rows if b.measured is not None]
+    trials = [(tried_value, k, attempt.works) for k, border in rows for tried_value, attempt in border.trials]
+    yield (
+        edge_map.near,
+        [(tried_value, k) for tried_value, k, works in trials if works],
+        {**marks, "marker": "o", "color": GOOD},
+    )
+    yield (
+        edge_map.far,
+        [(tried_value, k) for tried_value, k, works in trials if not works],
+        {**marks, "marker": "x", "color": LIMIT},
+    )
+    measured = [(border.measured, k) for k, border in rows if border.measured is not None]
     yield "measured", measured, {**marks, "marker": "|", "color": INK, "markersize": 14}
-    predicted = [(b.predicted, k) for k, b in rows if b.predicted is not None]
+    predicted = [(border.predicted, k) for k, border in rows if border.predicted is not None]
     yield "predicted", predicted, {**marks, "marker": "D", "color": MARK, "markersize": 7, "markerfacecolor": "none"}
-    x, value = edge_map.default or (None, 0.0)
-    yield "default of dpcontrol", [(value, k) for k, b in rows if b.x == x], _DEFAULT
+    default_line, value = edge_map.default or (None, 0.0)
+    yield "default of dpcontrol", [(value, k) for k, border in rows if border.x == default_line], _DEFAULT
 
 
 def _label(panel: Diagram, point: Point) -> str:
     """Return a point's text: the method at its first point, the setting, in full panels only on the front."""
-    full = len(panel.points) > MOST_LABELS
-    setting = "" if full and not point.default and point not in panel.front else point.setting
-    named = point is next(p for p in panel.points if p.method == point.method)
-    return ", ".join(filter(None, (point.method * named, setting)))
+    is_crowded = len(panel.points) > MOST_LABELS
+    setting = "" if is_crowded and not point.default and point not in panel.front else point.setting
+    is_first_of_method = point is next(other for other in panel.points if other.method == point.method)
+    return ", ".join(filter(None, (point.method * is_first_of_method, setting)))
 
 
 @dataclass(frozen=True)
 class DrawnChart(Documented):
-    """A finished chart, its files, and its duration in seconds."""
+    """A finished chart.
+
+    Attributes:
+        chart: the chart.
+        pictures: files of its pictures.
+        data: file of its points and versions.
+        seconds: duration of measuring and drawing, s.
+    """
 
     KEYS: ClassVar[str] = "**chart file=pictures.0 files=pictures data seconds"
 
@@ -196,27 +235,27 @@ def draw_charts(
     Raises:
         InputError: a name is unknown, the folder is not writable, or the charts would take too long.
     """
-    chosen = check_names(tuple(names))
-    announce(Cost(counted(len(chosen), "chart"), len(chosen) * _SECONDS[quick], 4e8, "bench"), yes=yes)
+    chart_names = check_names(tuple(names))
+    announce(Cost(counted(len(chart_names), "chart"), len(chart_names) * _SECONDS[quick], 4e8, "bench"), yes=yes)
     # Read before the work, so that later edits of the checkout do not matter.
-    made_with = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
-    drawn = []
+    provenance = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
+    finished = []
     with one_core():
-        for k, name in enumerate(chosen):
-            began = time.perf_counter()
-            chart = CHARTS[name](quick, part_of(progress, k / len(chosen), (k + 1) / len(chosen)))
-            seconds, data = time.perf_counter() - began, Path(folder) / f"{chart.name}.json"
+        for k, name in enumerate(chart_names):
+            start = time.perf_counter()
+            chart = CHARTS[name](quick, part_of(progress, k / len(chart_names), (k + 1) / len(chart_names)))
+            seconds, data = time.perf_counter() - start, Path(folder) / f"{chart.name}.json"
             pictures = {Path(folder) / f"{chart.name}{end}.png": parts for end, parts in chart.pages.items()}
             for picture, parts in pictures.items():
                 save_figure(figure(chart, parts), picture)
-            document = {**chart.document(), "seconds": seconds, **made_with}
+            document = {**chart.document(), "seconds": seconds, **provenance}
             write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-            drawn.append(DrawnChart(chart, tuple(pictures), data, seconds))
-    return DrawnCharts(tuple(drawn))
+            finished.append(DrawnChart(chart, tuple(pictures), data, seconds))
+    return DrawnCharts(tuple(finished))
 
 
 def machine() -> dict[str, Any]:
-    """Return processor, cores, load, operating system and Python."""
+    """Return processor, cores, load, operating system and Python, which the data of a chart record."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -227,7 +266,8 @@ def machine() -> dict[str, Any]:
 
 
 def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    """Return the name of the processor, from the system's list if there is one."""
+    cpu_file = Path("/proc/cpuinfo")
+    lines = cpu_file.read_text(encoding="utf-8").splitlines() if cpu_file.exists() else []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(names, platform.processor())

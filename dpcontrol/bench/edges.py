@@ -55,10 +55,15 @@ ASTRAY = 0.3
 
 @dataclass(frozen=True, eq=False)
 class LoopCase:
-    """A controller in a loop of one rate, with its margins.
+    """A controller in a loop of one rate, whose border is sought by trials.
 
-    Each trial runs `seeds` seeds. A run succeeds if its angles end within `near` rad of the reference, over its last
-    tenth.
+    A trial succeeds if at least half of its runs end near the reference over their last tenth.
+
+    Attributes:
+        assembly: parts of the loop.
+        seeds: number of runs in a trial.
+        near: largest distance of the angles over the last tenth, rad.
+        margins: margins of the loop by name, from which borders are predicted.
     """
 
     assembly: Assembly
@@ -67,13 +72,13 @@ class LoopCase:
     margins: Mapping[str, float] = field(default_factory=dict)
 
     def run(self, *, acceleration: float, mismatch: float = 0.0, error: float = 1e-3, delay: float = 0.0) -> Attempt:
-        """Return the outcome of a trial at the reference with a known delay.
+        """Return the outcome of a trial on the simulated bench with a known delay of the drive.
 
         Args:
-            acceleration: limit, m/s².
-            mismatch: of the plant, share.
-            error: at the start, rad.
-            delay: s.
+            acceleration: limit of the cart, m/s².
+            mismatch: relative error of the plant's parameters.
+            error: largest initial error of an angle, rad.
+            delay: delay of the drive, which the loop knows, s.
         """
         # A timing error of half a period is a further error, with a high cost in a slow loop.
         drive = DriveSettings(delay=round(delay * self.assembly.settings.rate))
@@ -84,25 +89,31 @@ class LoopCase:
         return self._tried(replace(self.assembly, reference=reference, settings=settings))
 
     def driven(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
-        """Return the outcome of a trial whose drive deviates from the model.
+        """Return the outcome of a trial whose drive deviates from the model, without the loop's knowledge.
 
         Args:
             gain: gain of the drive.
             delay: additional delay, s.
             lag: time constant, s.
         """
-        assumed, rate = self.assembly.delay, self.assembly.settings.rate
-        drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=assumed + delay * rate)
-        other = self.assembly.under(replace(self.assembly.settings, drive=drive))
-        return self._tried(replace(other, believed_delay=assumed), SHAKEN * self.assembly.limits.acceleration / gain)
+        assumed_delay, rate = self.assembly.delay, self.assembly.settings.rate
+        drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=assumed_delay + delay * rate)
+        deviating = self.assembly.under(replace(self.assembly.settings, drive=drive))
+        return self._tried(
+            replace(deviating, believed_delay=assumed_delay), SHAKEN * self.assembly.limits.acceleration / gain
+        )
 
     def _tried(self, assembly: Assembly, most: float = math.inf) -> Attempt:
+        """Run all seeds of an assembly, and return success if at least half of the runs end near their reference.
+
+        Feedback above `most` m/s² rms counts as a failure, because such a command swings.
+        """
         failures = [failure_of(run, near=self.near, most=most) for run in assembly.batch(range(self.seeds))]
         return half_of([Attempt(not failure, failure) for failure in failures], "runs lost")
 
 
 def failure_of(run: BatchRun, *, near: float = ASTRAY, most: float = math.inf) -> str:
-    """Return the cause of a run's end away from its reference, or "".
+    """Return the cause by which a run failed to end near its reference, or "" for a success.
 
     Args:
         run: run along a reference.
@@ -114,13 +125,13 @@ def failure_of(run: BatchRun, *, near: float = ASTRAY, most: float = math.inf) -
     if run.rms_feedback > most:
         return f"finished, but the command swings: feedback of {run.rms_feedback:.2g} m/s² rms"
     tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
-    away = float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
-    return "" if away < near else f"finished, but {away:.2g} rad away over its last tenth"
+    distance = float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
+    return "" if distance < near else f"finished, but {distance:.2g} rad away over its last tenth"
 
 
 @cache
 def moving(rate: float) -> LoopCase:
-    """Return the planned turn of the outer arm, followed by TVLQR.
+    """Return the loop that follows the planned turn of the outer arm by TVLQR.
 
     Args:
         rate: rate of the loop, Hz.
@@ -138,12 +149,12 @@ def moving_chart(quick: bool, progress: Progress) -> ChartPage:
         quick: one rate, one delay.
         progress: called with a label and the completed share.
     """
-    late = EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", far="lost")
-    wrong = EdgeMap("Wrong model, by delay", "delay, s", "mismatch of the plant, share", far="lost")
+    delay_map = EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", far="lost")
+    mismatch_map = EdgeMap("Wrong model, by delay", "delay, s", "mismatch of the plant, share", far="lost")
     parts = measured_maps(
         progress,
         (
-            late,
+            delay_map,
             lambda rate: find_border(
                 lambda delay: moving(rate).run(acceleration=WEAK, error=MOVING_ERROR, delay=delay),
                 x=rate, line=f"{rate:g} Hz", near=0.05, far=0.6, ratio=1.08, unit=1 / rate,
@@ -151,7 +162,7 @@ def moving_chart(quick: bool, progress: Progress) -> ChartPage:
             (100.0,) if quick else (25.0, 50.0, 100.0, 200.0),
         ),
         (
-            wrong,
+            mismatch_map,
             # All parameters are changed in one direction.
             lambda delay: find_border(
                 lambda mismatch: moving(100.0).run(acceleration=STRONG, mismatch=mismatch, delay=delay),
@@ -201,8 +212,8 @@ def ogy_chart(quick: bool, progress: Progress) -> ChartPage:
     """
     orbit = held_orbit()
     sections, seeds, ratio, seconds = ((8,), 8, 1.6, 4.0) if quick else ((1, 2, 3, 4, 8, 16), 16, 1.12, 6.0)
-    how: dict[str, Any] = {"seeds": seeds, "ratio": ratio}
-    authority, counts = (
+    trial_options: dict[str, Any] = {"seeds": seeds, "ratio": ratio}
+    pulse_map, count_map = (
         EdgeMap(title, "sections in a period, k", y, far="lost", default=default)
         for title, y, default in (
             (f"Pulses with {COUNTS:,.0f} counts per turn", "largest pulse, m/s²", (16.0, 5.0)),
@@ -224,17 +235,23 @@ def ogy_chart(quick: bool, progress: Progress) -> ChartPage:
         parts=measured_maps(
             progress,
             (
-                authority,
-                lambda k: pulse_border(orbit, pulses(orbit, k, seconds=seconds), counted=False, **how),
+                pulse_map,
+                lambda k: pulse_border(orbit, pulses(orbit, k, seconds=seconds), counted=False, **trial_options),
                 sections,
             ),
-            (counts, lambda k: pulse_border(orbit, pulses(orbit, k, seconds=seconds), counted=True, **how), sections),
+            (
+                count_map,
+                lambda k: pulse_border(orbit, pulses(orbit, k, seconds=seconds), counted=True, **trial_options),
+                sections,
+            ),
         ),
     )
 
 
 def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, seeds: int) -> Attempt:
-    """Return success if at least half of the runs hold the orbit, otherwise the ending of the first failure.
+    """Run a law of pulses on benches with encoders of some resolution; at least half of the runs must hold the orbit.
+
+    The zeros of the encoders lie anywhere within a count.
 
     Args:
         orbit: sustained orbit.
@@ -248,19 +265,17 @@ def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, se
     settings = LoopSettings(
         seed=0, rate=RATE, sensors=sensors, estimator=EkfSettings(augment=()), initial_error=1e-5
     )  # fmt: skip
-    wide = replace(orbit.reference, limits=Limits(position=5.0, acceleration=30.0))
-    runs = Assembly(wide, orbit.arms, settings, law=controller).batch(range(seeds))
+    wide_reference = replace(orbit.reference, limits=Limits(position=5.0, acceleration=30.0))
+    runs = Assembly(wide_reference, orbit.arms, settings, law=controller).batch(range(seeds))
     judge = keeps(orbit)
-    away = "finished, but away from the orbit in its last period"
+    departure = "finished, but away from the orbit in its last period"
     return half_of(
-        [Attempt(judge(run), away if run.ending is Ending.FINISHED else run.reason) for run in runs], "runs lost"
+        [Attempt(judge(run), departure if run.ending is Ending.FINISHED else run.reason) for run in runs], "runs lost"
     )
 
 
 def pulse_border(orbit: SustainedOrbit, law: OgyController, *, counted: bool, seeds: int, ratio: float) -> Border:
-    """Return the least limit of pulses, m/s², or the fewest counts per turn that hold an orbit.
-
-    Encoders range from coarse to impossibly fine.
+    """Return the border of the pulses' limit, m/s², or of the counts per turn, that a law needs to hold an orbit.
 
     Args:
         orbit: sustained orbit.
@@ -272,8 +287,9 @@ def pulse_border(orbit: SustainedOrbit, law: OgyController, *, counted: bool, se
     k, (near, far) = len(law.times), (4e8, 50.0) if counted else (5.0, 0.01)
 
     def probe(value: float) -> Attempt:
-        limited = law if counted else replace(law, pulse_limit=value)
-        return holds(orbit, limited, counts=value if counted else COUNTS, seeds=seeds)
+        """Return the outcome of a trial at one limit of pulses, or at one number of counts."""
+        law_with_limit = law if counted else replace(law, pulse_limit=value)
+        return holds(orbit, law_with_limit, counts=value if counted else COUNTS, seeds=seeds)
 
     return find_border(probe, x=k, line=f"k = {k}", near=near, far=far, ratio=ratio)
 
@@ -293,11 +309,11 @@ def estimation_chart(quick: bool, progress: Progress) -> ChartPage:
     """
     model = load_model("lab")
     orbit = held_orbit()
-    lost = EdgeMap(
+    dropout_map = EdgeMap(
         "Lost samples", "rate of the loop, Hz", "samples that arrive, per s", far="lost",
         theory="a gap of 0.1 s is as likely as not in 10 s",
     )  # fmt: skip
-    stuck = EdgeMap(
+    stuck_map = EdgeMap(
         "A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
         "time until it is reported, s", far="reported", near="goes on",
     )  # fmt: skip
@@ -312,10 +328,10 @@ def estimation_chart(quick: bool, progress: Progress) -> ChartPage:
         chosen="0.1 s without a sample: an error at Down-Up grows 2.2-fold in it, far within authority.",
         parts=measured_maps(
             progress,
-            (lost, lambda rate: lost_border(model.arms, model.system.equilibrium("down-up"), rate=rate,
+            (dropout_map, lambda rate: lost_border(model.arms, model.system.equilibrium("down-up"), rate=rate,
                                             seeds=5 if quick else 9),
              (100.0,) if quick else (50.0, 100.0, 200.0, 400.0)),
-            (stuck, lambda phase: stuck_border(model.arms, orbit, phase=phase),
+            (stuck_map, lambda phase: stuck_border(model.arms, orbit, phase=phase),
              (0.3,) if quick else (0.1, 0.3, 0.5, 0.7, 0.9)),
         ),
     )  # fmt: skip
@@ -324,6 +340,8 @@ def estimation_chart(quick: bool, progress: Progress) -> ChartPage:
 def arriving(rate: float, *, missing: float, seconds: float) -> float:
     """Return the least rate of samples, per s, at which half the runs have no gap.
 
+    The formula is that of the head of this module; p is the probability that a sample is lost.
+
     Args:
         rate: rate of the loop, Hz.
         missing: longest time without samples that is no gap, s.
@@ -331,8 +349,8 @@ def arriving(rate: float, *, missing: float, seconds: float) -> float:
     """
     ticks, gap = seconds * rate, math.floor(missing * rate + 1e-9) + 1
     # The number of gaps grows with p up to p = m / (m + 1); the border lies below.
-    share: Any = brentq(lambda p: ticks * (1 - p) * p**gap - math.log(2), 0.0, gap / (gap + 1))
-    return (1 - float(share)) * rate
+    lost_share: Any = brentq(lambda p: ticks * (1 - p) * p**gap - math.log(2), 0.0, gap / (gap + 1))
+    return (1 - float(lost_share)) * rate
 
 
 def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, seeds: int) -> Border:
@@ -349,8 +367,9 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
     reference = still(controller.state, SECONDS, method=method_named("radau-7"), limits=Limits(), interval=1.0)
 
     def probe(passed: float) -> Attempt:
-        lossy = replace(settings, sensors=SensorSettings(dropout=1 - passed / rate))
-        assembly = Assembly(reference, arms, lossy, law=controller)
+        """Return the outcome of runs to which `passed` samples per s arrive."""
+        lossy_settings = replace(settings, sensors=SensorSettings(dropout=1 - passed / rate))
+        assembly = Assembly(reference, arms, lossy_settings, law=controller)
         runs = [assembly.simulate(draw=assembly.draw(seed=k)) for k in range(seeds)]
         return half_of([Attempt(run.ending is Ending.FINISHED, run.reason) for run in runs], "runs lost")
 
@@ -362,17 +381,19 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
 
 
 def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> float:
-    """Return the time until a stuck reading of a moving arm is distinguishable, s.
+    """Return a lower bound on the time after which a stuck reading of a moving arm can be reported, s.
+
+    Until then the arm has moved too little to be distinguished from one at rest.
 
     Args:
         orbit: sustained orbit.
         since: time at which the reading is stuck, s.
         sensor: index of the encoder.
     """
-    after = np.arange(0.0, orbit.period, 1e-3)
-    angles = orbit.state(since + after)
+    elapsed = np.arange(0.0, orbit.period, 1e-3)
+    angles = orbit.state(since + elapsed)
     joint = angles[:, sensor] - (angles[:, sensor - 1] if sensor else 0.0)
-    return max(float(after[int(np.argmax(np.abs(joint - joint[0]) >= MOVED))]), STILL)
+    return max(float(elapsed[int(np.argmax(np.abs(joint - joint[0]) >= MOVED))]), STILL)
 
 
 def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: float) -> Border:
@@ -385,17 +406,18 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
     """
     model = sampled_model(arms, RATE)
     # The run lasts at least half a second before the encoder sticks.
-    at = round((math.ceil(0.5 / orbit.period) + phase) * orbit.period, 3)
-    settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=at, stuck_sensor=1))
+    stuck_at = round((math.ceil(0.5 / orbit.period) + phase) * orbit.period, 3)
+    settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=stuck_at, stuck_sensor=1))
 
     def probe(after: float) -> Attempt:
-        controller = orbit_controller(orbit, model, TvlqrSettings(), seconds=at + after)
+        """Return the outcome of a run that lasts `after` s beyond the failure of the encoder."""
+        controller = orbit_controller(orbit, model, TvlqrSettings(), seconds=stuck_at + after)
         run = Assembly(orbit.reference, arms, settings, law=controller).simulate()
         return Attempt(run.ending is Ending.FINISHED, "" if run.ending is Ending.FINISHED else run.reason)
 
     # A lower bound: the delay of the filter's test is added to it.
-    least = earliest_report(orbit, at % orbit.period, sensor=1)
-    return find_border(probe, x=phase, line=f"{phase:g}", near=least / 2, far=8 * least, ratio=1.1, unit=1e-3)
+    earliest = earliest_report(orbit, stuck_at % orbit.period, sensor=1)
+    return find_border(probe, x=phase, line=f"{phase:g}", near=earliest / 2, far=8 * earliest, ratio=1.1, unit=1e-3)
 
 
 FOLLOWED = (
@@ -414,15 +436,15 @@ SHORT = 0.5
 
 @cache
 def followed(itinerary: str, law: str, seeds: int) -> LoopCase:
-    """Return the loop of an itinerary and a law, with its margins; a stay lasts for `SECONDS` s.
+    """Return the loop of an itinerary and a law, with its margins; a law that holds runs for `SECONDS` s.
 
     Args:
         itinerary: name of the itinerary.
         law: name of the controller.
         seeds: number of runs in a trial.
     """
-    flown = load_itinerary(itinerary).with_run({"controller": law, "travel": 0.8})
-    reference, arms, loop = make_plan(flown).reference, flown.model.arms, flown.loop
+    itinerary_of_law = load_itinerary(itinerary).with_run({"controller": law, "travel": 0.8})
+    reference, arms, loop = make_plan(itinerary_of_law).reference, itinerary_of_law.model.arms, itinerary_of_law.loop
     settings = LoopSettings(
         seed=0, controller=loop.controller, estimator=loop.estimator, initial_error=MARGIN_ERROR, travel=0.8
     )
@@ -435,7 +457,7 @@ def followed(itinerary: str, law: str, seeds: int) -> LoopCase:
 
 
 def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float) -> Border:
-    """Return the border of a margin, with its prediction.
+    """Return the border of a drive's gain, delay or lag at which half the runs are lost, beside the loop's margin.
 
     Args:
         name: gain_low, gain_high, delay or lag.
@@ -443,13 +465,13 @@ def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float)
         seeds: number of runs in a trial.
         ratio: precision of the border, as a ratio.
     """
-    loop, key = followed(*case, seeds), name.partition("_")[0]
+    loop, quantity = followed(*case, seeds), name.partition("_")[0]
     predicted = loop.margins[name]
     near, far = {"gain_low": (1.0, predicted / 4), "gain_high": (1.0, min(4 * predicted, TRIED))}.get(
         name, (predicted / 16, 4 * predicted)
     )
     return find_border(
-        lambda value: loop.driven(**{key: value}), x=float(FOLLOWED.index(case)), line=", ".join(case),
+        lambda value: loop.driven(**{quantity: value}), x=float(FOLLOWED.index(case)), line=", ".join(case),
         near=near, far=far, ratio=ratio, predicted=predicted if name != "gain_high" or predicted < TRIED else None,
     )  # fmt: skip
 

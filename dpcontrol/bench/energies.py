@@ -24,9 +24,11 @@ from dpcontrol.walks.following import SymbolBranches
 from dpcontrol.walks.symbols import parse_walk
 
 MISMATCH = 0.05
+"""Mismatch of the plants on which walks are run."""
 ENERGIES = (0.25, 0.4, 0.65, 1.0, 1.5, 2.5)
 """Energies to try, as multiples of the itinerary's energy above that of its highest saddle."""
 RUNS = 16
+"""Number of runs at each energy."""
 POOR = 1.1
 """Multiple of the least effort above which an itinerary's energy is a poor choice."""
 
@@ -47,11 +49,16 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
     names = {saddle for symbol in symbols for part in symbol.simple for saddle in (part.source, part.target)}
     floor = max(equilibrium(system, name).energy for name in names)
     points, missing = [], []
-    branches = {s.text: SymbolBranches(system, s) for s in symbols if not s.parts and s.name is None}
-    chosen = {text: branch.chosen(walk.energy) for text, branch in branches.items()}
+    branches = {
+        parsed_symbol.text: SymbolBranches(system, parsed_symbol)
+        for parsed_symbol in symbols
+        if not parsed_symbol.parts and parsed_symbol.name is None
+    }
+    connection_of_symbol = {text: branch.chosen(walk.energy) for text, branch in branches.items()}
 
     def symbol_at_energy(text: str, energy: float) -> str:
-        connection = chosen.get(text)
+        """Return the symbol of the walk at another energy, to which its connection has been followed."""
+        connection = connection_of_symbol.get(text)
         if connection is None or energy == walk.energy:
             return text
         followed = branches[text].followed(connection, energy)
@@ -78,11 +85,11 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
     if not any(p.default for p in points):
         raise GoalMissed(f"{itinerary.name}: no comparison without its energy: {missing[0].reason}")
     axis = "energy above the highest saddle's, J"
-    efforts = Diagram(itinerary.title, axis, "∫u², m²/s³", tuple(points), missing=tuple(missing), judged=False)
+    effort_diagram = Diagram(itinerary.title, axis, "∫u², m²/s³", tuple(points), missing=tuple(missing), judged=False)
     gains = tuple(
         replace(p, method="peak gain", error=p.others["peak_gain"]) for p in points if p.method == "reference"
     )
-    losses = Diagram("What it asks of the feedback", axis, "peak gain, m/s² per rad", gains, judged=False)
+    gain_diagram = Diagram("What it asks of the feedback", axis, "peak gain, m/s² per rad", gains, judged=False)
     return ChartPage(
         name=f"{itinerary.name}-energies",
         title=f"{itinerary.name}: effort over energies",
@@ -94,12 +101,12 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
             "peak gain: the largest gain of the feedback on an arm's angle; it multiplies what hides the angle.",
         ),
         chosen=energy_text(walk.energy, points),
-        parts=(efforts, losses),
+        parts=(effort_diagram, gain_diagram),
     )
 
 
 def only_walk(itinerary: Itinerary) -> WalkPart:
-    """Return the single walk of an itinerary.
+    """Return the single walk of an itinerary, because a comparison of energies needs one.
 
     Raises:
         InputError: the itinerary has other parts.
@@ -128,34 +135,38 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
     plan = Plan(itinerary, reference, Path(), cached=False)
     case = Case("", (), replace(itinerary.loop, mismatch=MISMATCH))
     job = Job(itinerary.name, plan.archive, itinerary.model.arms, case, tuple(range(runs)), "compiled", replayed=0)
-    done = [row for row in run_job(job) if row["completed"]]
-    efforts = [row["rms_cart_acceleration"] ** 2 * row["simulated_seconds"] for row in done]
+    completed_rows = [row for row in run_job(job) if row["completed"]]
+    efforts = [row["rms_cart_acceleration"] ** 2 * row["simulated_seconds"] for row in completed_rows]
     return {
         "reference": reference.rms_cart_acceleration**2 * reference.duration,
         "loop": float(np.mean(efforts)) if efforts else float("nan"),
-        "completed": len(done) / runs, "duration": reference.duration, "energy": walk.energy,
+        "completed": len(completed_rows) / runs, "duration": reference.duration, "energy": walk.energy,
         "peak_gain": float(peak_gains(itinerary.model.arms, reference).max()),
     }  # fmt: skip
 
 
 def energy_text(chosen: float, points: Sequence[Point]) -> str:
-    """Return a sentence on energies with less effort under feedback, where most completed runs count first.
+    """Return a sentence that judges the itinerary's energy by the effort of completed runs.
+
+    Energies at which fewer runs complete do not count as better.
 
     Args:
         chosen: energy of the itinerary, J.
         points: effort over energies.
     """
-    loops = [p for p in points if p.method == "loop"]
-    most = max(p.others["completed"] for p in loops)
-    best = min((p for p in loops if p.others["completed"] == most), key=lambda p: p.error)
-    mine = next(p for p in loops if p.default)
-    completed = mine.others["completed"]
-    if completed == most and mine.error <= POOR * best.error:
+    loop_points = [point for point in points if point.method == "loop"]
+    best_share = max(point.others["completed"] for point in loop_points)
+    best = min(
+        (point for point in loop_points if point.others["completed"] == best_share), key=lambda point: point.error
+    )
+    present = next(point for point in loop_points if point.default)
+    completed = present.others["completed"]
+    if completed == best_share and present.error <= POOR * best.error:
         return (
             f"{chosen:.4g} J is a good choice: at ±{MISMATCH:.0%} no energy tried takes {1 - 1 / POOR:.0%} less effort"
         )
-    runs = "" if completed == most else f", and {most:.0%} of runs complete it, not {completed:.0%}"
+    runs = "" if completed == best_share else f", and {best_share:.0%} of runs complete it, not {completed:.0%}"
     return (
         f"{chosen:.4g} J is a poor choice: {best.others['energy']:.4g} J takes {best.error:.3g} m²/s³ at "
-        f"±{MISMATCH:.0%}, not {mine.error:.3g}{runs}"
+        f"±{MISMATCH:.0%}, not {present.error:.3g}{runs}"
     )

@@ -60,7 +60,7 @@ def timed_in_turns(
     clock: Callable[[], float] = time.process_time,
     progress: Progress = no_progress,
 ) -> dict[Key, TimedWork[T]]:
-    """Call each function once, then measure all in turns.
+    """Call each function once, then measure all in turns, so that a slow phase of the processor affects each of them.
 
     Each of `rounds` measures every function for at least `GRAIN` s.
 
@@ -74,13 +74,13 @@ def timed_in_turns(
         clock: function that returns a time, s.
         progress: called at each first call and each round.
     """
-    measured: dict[Key, TimedWork[T]] = {}
+    works: dict[Key, TimedWork[T]] = {}
     timers: dict[Key, Timer] = {}
     for k, (key, function) in enumerate(functions.items()):
         progress(f"first call {k + 1} of {len(functions)}", k / len(functions) / (rounds + 1))
-        begin = clock()
+        start = clock()
         result = function()
-        work = measured[key] = TimedWork(clock() - begin, result)
+        work = works[key] = TimedWork(clock() - start, result)
         if worth(key, result):
             timers[key] = Timer(function, timer=clock)
             seconds = timers[key].timeit(1) if starts_up or work.first < GRAIN else work.first
@@ -91,30 +91,35 @@ def timed_in_turns(
     for number in range(1, rounds + 1):
         progress(f"round {number} of {rounds}", number / (rounds + 1))
         for key, timer in timers.items():
-            work = measured[key]
+            work = works[key]
             if len(work.times) < number and (sum(work.times) < most or len(work.times) < least):
                 work.times.append(timer.timeit(work.calls))
-    return measured
+    return works
 
 
 @contextmanager
 def one_core() -> Iterator[None]:
     """Restrict this process to one core while the block runs, if the system allows it."""
-    before = os.sched_getaffinity(0) if hasattr(os, "sched_setaffinity") else set()
-    if before:
-        os.sched_setaffinity(0, {max(before)})
+    former_cores = os.sched_getaffinity(0) if hasattr(os, "sched_setaffinity") else set()
+    if former_cores:
+        os.sched_setaffinity(0, {max(former_cores)})
     try:
         yield
     finally:
-        if before:
-            os.sched_setaffinity(0, before)
+        if former_cores:
+            os.sched_setaffinity(0, former_cores)
 
 
 @dataclass(frozen=True)
 class Alternative(Generic[T]):
-    """A method at one setting.
+    """A method at one setting, whose work is timed.
 
-    Its `work` is timed and does `units` units of a point's time.
+    Attributes:
+        method: name of the method.
+        setting: its setting.
+        work: function that does the work.
+        default: True for the package's choice.
+        units: units of work in one call; a point's time is that of one unit.
     """
 
     method: str
@@ -126,7 +131,13 @@ class Alternative(Generic[T]):
 
 @dataclass(frozen=True)
 class Judged:
-    """Judgement of a result: its error, further measures, a note."""
+    """Judgement of a result.
+
+    Attributes:
+        error: error of the result.
+        others: further measures by name.
+        note: a few words for display.
+    """
 
     error: float
     others: Mapping[str, float] = field(default_factory=dict)
@@ -149,36 +160,38 @@ def compare(
     Returns:
         The points as a diagram without a title.
     """
-    judged: dict[int, Judged | str] = {}
+    judgements: dict[int, Judged | str] = {}
 
     def tried(work: Callable[[], T]) -> T | Exception:
+        """Return the result of a work, or the exception by which it failed."""
         try:
             return work()
         except (ArithmeticError, RuntimeError, GoalMissed) as failure:
             return failure
 
     def worth(k: int, result: T | Exception) -> bool:
+        """Judge the first result of alternative k, and return True if it is worth timing."""
         failed = isinstance(result, Exception)
-        judged[k] = str(result).splitlines()[0][:200] if failed else judge(alternatives[k], result)
-        return not isinstance(judged[k], str)
+        judgements[k] = str(result).splitlines()[0][:200] if failed else judge(alternatives[k], result)
+        return not isinstance(judgements[k], str)
 
     works = {k: partial(tried, alternative.work) for k, alternative in enumerate(alternatives)}
-    spent = timed_in_turns(works, worth=worth, **turns)
+    timed_works = timed_in_turns(works, worth=worth, **turns)
     points, missing = [], []
     for k, alternative in enumerate(alternatives):
-        verdict, run = judged[k], spent[k]
-        if isinstance(verdict, str):
-            missing.append(Missing(alternative.method, alternative.setting, verdict))
+        judgement, timed_work = judgements[k], timed_works[k]
+        if isinstance(judgement, str):
+            missing.append(Missing(alternative.method, alternative.setting, judgement))
             continue
-        about = {"note": verdict.note, "others": verdict.others}
+        display = {"note": judgement.note, "others": judgement.others}
         points.append(
             Point(
                 alternative.method,
                 alternative.setting,
-                run.seconds / alternative.units,
-                verdict.error,
+                timed_work.seconds / alternative.units,
+                judgement.error,
                 alternative.default,
-                **about,
+                **display,
             )
         )
     return Diagram("", "", "", tuple(points), tuple(missing))

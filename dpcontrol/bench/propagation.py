@@ -29,7 +29,9 @@ from dpcontrol.references.problem import Limits, state_scale
 
 
 def classical_step(equations: Equations) -> ca.Function:
-    """Return the classical step of order 4 with held inputs, (state, inputs, duration, parameters) -> following.
+    """Return the classical Runge-Kutta step of order 4 with held inputs.
+
+    The function is (state, inputs, duration, parameters) -> following.
 
     Args:
         equations: equations with N states and m inputs.
@@ -41,12 +43,18 @@ def classical_step(equations: Equations) -> ca.Function:
 
 
 class Stepper:
-    """Flies states (N, S) by steps of one length.
+    """A fixed-step integrator in machine code, for states (N,), or (N, S) in lanes.
 
-    Parameters (p,) and inputs (m,) are held. Do not share it.
+    Parameters (p,) and inputs (m,) are held. Do not share it between threads.
+
+    Args:
+        function: step (state, inputs, duration, parameters) -> following.
+        parameters: parameters (p,).
+        lanes: number S of states at once, 0 for one.
     """
 
     def __init__(self, function: ca.Function, parameters: Array, *, lanes: int = 0) -> None:
+        """Compile the step, and allocate its inputs, whose parameters do not change."""
         self._step = Compiled(function)
         shape = (lanes,) if lanes else ()
         self._given, self._out = (np.zeros((size, *shape)) for size in (self._step.size_in, self._step.size_out))
@@ -61,13 +69,13 @@ class Stepper:
             step: length of a step, about, s.
             command: value of all inputs: the cart's acceleration, m/s².
         """
-        arguments, slices, call = self._given, self._step.slices, self._step
+        step_inputs, slices, advance = self._given, self._step.slices, self._step
         count = max(1, round(duration / step))
-        arguments[slices["inputs"]], arguments[slices["duration"]] = command, duration / count
-        state = arguments[slices["state"]]
+        step_inputs[slices["inputs"]], step_inputs[slices["duration"]] = command, duration / count
+        state = step_inputs[slices["state"]]
         state[:] = states
         for _ in range(count):
-            state[:] = call(arguments, self._out)
+            state[:] = advance(step_inputs, self._out)
         return state.copy()
 
 
@@ -81,16 +89,23 @@ def compiled_rate(equations: Equations, parameters: Array, command: float = 0.0)
     """
     values = [command] * equations.input_count + list(parameters)
     rate = ca.substitute(equations.rate, ca.vertcat(equations.inputs, equations.parameters), ca.SX(values))
-    call, out = Compiled(ca.Function("rate", [equations.state], [ca.densify(rate)])), np.zeros(equations.dimension)
-    return lambda _, state: call(state, out).copy()
+    rate_function, result = (
+        Compiled(ca.Function("rate", [equations.state], [ca.densify(rate)])),
+        np.zeros(equations.dimension),
+    )
+    return lambda _, state: rate_function(state, result).copy()
 
 
 ENERGY = 0.2
+"""Energy of the orbit whose tube is propagated, J."""
 LANES = 64
+"""Number of trajectories of a tube, and of ticks at once."""
 TOLERANCES = (0.0, 1e-12, 1e-9, 1e-6)
 """Tolerances of Taylor's method; zero stands for rounding."""
 STEPS = (5e-4, 1e-3, 2e-3, 5e-3)
+"""Lengths of fixed steps, s."""
 MOST_CALLS = 60_000
+"""Number of calls of the rate after which an integrator of scipy is stopped."""
 TICK, COMMAND = 1e-3, 5.0
 """Duration in s and command in m/s² of a tick."""
 
@@ -110,16 +125,19 @@ def propagation_chart(quick: bool, progress: Progress) -> ChartPage:
     tube = work_of(system, seeds[:: 8 if quick else 2], 2 * orbit.period)
     # A start from rest, whose initial error grows five-millionfold.
     swing = work_of(system, np.array([[1.7, 2.2, 0.0, 0.0]]), 10.0)
-    many, single = candidates(tube, batches=True, quick=quick), candidates(swing, batches=False, quick=quick)
-    along = compared(many, tube, quick=quick, progress=part_of(progress, 0.2, 0.5))
-    chaotic = compared(single, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
-    look = {"x_label": "time of a trajectory, s", "y_label": "error, scaled"}
+    batch_candidates, swing_candidates = (
+        candidates(tube, batches=True, quick=quick),
+        candidates(swing, batches=False, quick=quick),
+    )
+    tube_diagram = compared(batch_candidates, tube, quick=quick, progress=part_of(progress, 0.2, 0.5))
+    swing_diagram = compared(swing_candidates, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
+    labels = {"x_label": "time of a trajectory, s", "y_label": "error, scaled"}
     return ChartPage(
         name="propagation",
         title="Propagation",
         parts=(
-            replace(along, title=f"trajectory of a tube, {tube.duration:.2f} s", **look),
-            replace(chaotic, title=f"chaotic swing, {swing.duration:.0f} s", **look),
+            replace(tube_diagram, title=f"trajectory of a tube, {tube.duration:.2f} s", **labels),
+            replace(swing_diagram, title=f"chaotic swing, {swing.duration:.0f} s", **labels),
             *tick_panels(model.arms, quick=quick),
         ),
         reading=(
@@ -137,9 +155,13 @@ def propagation_chart(quick: bool, progress: Progress) -> ChartPage:
 
 @dataclass(frozen=True)
 class Work:
-    """States (K, N) to propagate for `duration` s.
+    """Trajectories that all methods propagate, with their true ends.
 
-    The final states (K, N) are known in 113-bit arithmetic.
+    Attributes:
+        system: Hamiltonian system.
+        states: first states (K, N).
+        duration: time of the trajectories, s.
+        truth: final states (K, N) from 113-bit arithmetic.
     """
 
     system: System
@@ -148,7 +170,7 @@ class Work:
     truth: Array
 
     def error(self, arrived: Array) -> float:
-        """Return the largest scaled error of arrivals.
+        """Return the largest scaled error of final states.
 
         Args:
             arrived: final states (K, N), or the first ones of them.
@@ -157,7 +179,7 @@ class Work:
 
 
 def work_of(system: System, states: Array, duration: float) -> Work:
-    """Return the work with its truth.
+    """Return trajectories with their true ends, from 113-bit arithmetic.
 
     Args:
         system: Hamiltonian system.
@@ -169,11 +191,13 @@ def work_of(system: System, states: Array, duration: float) -> Work:
     """
     exact = ExtendedPropagator(system.equations, system.parameters)
     length = extended(np.array([duration]))[0]
-    return Work(system, states, duration, np.array([exact.flow(extended(x), length) for x in states]).astype(float))
+    return Work(
+        system, states, duration, np.array([exact.flow(extended(state), length) for state in states]).astype(float)
+    )
 
 
 def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Diagram:
-    """Fly each candidate; failures are missing with their reason.
+    """Time each candidate and judge its final states; failures are missing with their reason.
 
     Args:
         tried: methods at their settings.
@@ -191,35 +215,34 @@ def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progre
 
 
 def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Array]]:
-    """Return all methods for a work's states.
-
-    Slow ones fly fewer.
+    """Return all methods for a work's states; slow ones propagate fewer of them.
 
     Args:
         work: states with their truth.
         batches: add many trajectories at once.
         quick: fewer settings and states.
     """
-    few = work.states[: 2 if quick else 4]
+    first_states = work.states[: 2 if quick else 4]
     return [
         *_taylor(work, batches=batches),
         *_stepped(work, batches=batches, quick=quick),
-        *_casadi(work, few),
-        *_scipy(work, few[: 1 if quick else 2], quick=quick),
+        *_casadi(work, first_states),
+        *_scipy(work, first_states[: 1 if quick else 2], quick=quick),
     ]
 
 
 def _each(fly: Callable[..., Array], states: Array, *args: Any, **more: Any) -> Callable[[], Array]:
-    """Return a function that flies one state after the other."""
-    return lambda: np.array([fly(x, *args, **more) for x in states])
+    """Return a function that propagates one state (N,) after the other by `fly`, and returns the ends (K, N)."""
+    return lambda: np.array([fly(state, *args, **more) for state in states])
 
 
 def _together(fly: Callable[..., Array], states: Array, *args: Any, **more: Any) -> Callable[[], Array]:
-    """Return a function that flies all states at once, as columns."""
+    """Return a function that propagates all states (K, N) at once by `fly`, and returns the ends (K, N)."""
     return lambda: fly(states.T, *args, **more).T
 
 
 def _taylor(work: Work, *, batches: bool) -> Iterator[Alternative[Array]]:
+    """Yield Taylor's method at several tolerances, one trajectory after the other and in batches."""
     states, seconds = work.states, work.duration
     for tolerance in TOLERANCES:
         propagator = Propagator(work.system.equations, work.system.parameters, tolerance=tolerance)
@@ -229,31 +252,35 @@ def _taylor(work: Work, *, batches: bool) -> Iterator[Alternative[Array]]:
             "Taylor", label, _each(propagator.flow, states, seconds), not (tolerance or batches), units=count
         )
         if batches:
-            many = partial(propagator.flows, states, np.full(count, seconds))
-            yield Alternative("Taylor, 8 at once", label, many, not tolerance, units=count)
+            batch = partial(propagator.flows, states, np.full(count, seconds))
+            yield Alternative("Taylor, 8 at once", label, batch, not tolerance, units=count)
 
 
 def _stepped(work: Work, *, batches: bool, quick: bool) -> Iterator[Alternative[Array]]:
+    """Yield the fixed steps in machine code at several lengths, for one trajectory and for many lanes."""
     parameters, equations, lanes = work.system.parameters, work.system.equations, len(work.states)
     schemes = {"RK4, compiled": classical_step(equations), "DOP853 step, compiled": fixed_step(equations)}
-    some = work.states[:2]
+    first_states = work.states[:2]
     for method, function in schemes.items():
         single, many = Stepper(function, parameters), Stepper(function, parameters, lanes=lanes)
         for step in STEPS[1::2] if quick else STEPS:
             label = f"{1e3 * step:g} ms"
-            yield Alternative(method, label, _each(single.fly, some, work.duration, step=step), units=len(some))
+            yield Alternative(
+                method, label, _each(single.fly, first_states, work.duration, step=step), units=len(first_states)
+            )
             if batches:
                 fly = _together(many.fly, work.states, work.duration, step=step)
                 yield Alternative(f"{method}, {lanes} at once", label, fly, units=lanes)
 
 
 def _casadi(work: Work, states: Array) -> Iterator[Alternative[Array]]:
-    e, parameters = work.system.equations, ca.DM(work.system.parameters)
-    program = {"x": e.state, "p": e.parameters, "ode": e.rate}
+    """Yield the integrators of CasADi for some states (K, N)."""
+    equations, parameters = work.system.equations, ca.DM(work.system.parameters)
+    program = {"x": equations.state, "p": equations.parameters, "ode": equations.rate}
     # The error shows any stalled steps.
-    patient = {"max_num_steps": 1_000_000, "disable_internal_warnings": True}
+    step_options = {"max_num_steps": 1_000_000, "disable_internal_warnings": True}
     cases: list[tuple[str, str, str, dict[str, Any]]] = [
-        (kind.upper(), f"{tolerance:.0e}", kind, {"reltol": tolerance, "abstol": tolerance, **patient})
+        (kind.upper(), f"{tolerance:.0e}", kind, {"reltol": tolerance, "abstol": tolerance, **step_options})
         for kind, tolerances in (("cvodes", (1e-12, 1e-9, 1e-6)), ("idas", (1e-9, 1e-6)))
         for tolerance in tolerances
     ]
@@ -267,15 +294,17 @@ def _casadi(work: Work, states: Array) -> Iterator[Alternative[Array]]:
 
 
 def _by_casadi(flow: ca.Function, x: Array, **inputs: Any) -> Array:
+    """Return the final state (N,) of an integrator of CasADi."""
     return np.array(flow(x0=x, **inputs)["xf"]).ravel()
 
 
 def _scipy(work: Work, states: Array, *, quick: bool) -> Iterator[Alternative[Array]]:
+    """Yield the integrators of scipy for some states (K, N)."""
     rate = compiled_rate(work.system.equations, work.system.parameters)
     cases = [(method, tolerance, {}) for method in ("DOP853", "LSODA") for tolerance in (1e-12, 1e-9, 1e-6)]
     # Radau may repeat a tiny last step endlessly, so the rate's calls are counted.
-    more = {"jac": lambda _, x: work.system.numeric.jacobian(x), "max_step": 0.05}
-    cases += [("Radau", tolerance, more) for tolerance in ((1e-6,) if quick else (1e-8, 1e-6))]
+    radau_options = {"jac": lambda _, x: work.system.numeric.jacobian(x), "max_step": 0.05}
+    cases += [("Radau", tolerance, radau_options) for tolerance in ((1e-6,) if quick else (1e-8, 1e-6))]
     for method, tolerance, options in cases:
         fly = _each(partial(_by_scipy, rate, work.duration, method, tolerance, options), states)
         yield Alternative(f"{method} of scipy", f"{tolerance:.0e}", fly, units=len(states))
@@ -285,17 +314,30 @@ def _by_scipy(
     rate: Callable[[float, Array], Array], seconds: float, method: str, tolerance: float, more: Mapping[str, Any],
     x: Array,
 ) -> Array:  # fmt: skip
-    left = iter(range(MOST_CALLS))
+    """Return the final state (N,) of a trajectory from `x` (N,) by an integrator of scipy.
 
-    def counted(time: float, state: Array) -> Array:
-        if next(left, None) is None:
+    Args:
+        rate: rate of the equations, (t, x) -> (N,).
+        seconds: duration, s.
+        method: name of the integrator.
+        tolerance: relative and absolute tolerance.
+        more: further options.
+        x: first state (N,).
+
+    Raises:
+        ArithmeticError: the integrator failed or needed too many calls of the rate.
+    """
+    calls_left = iter(range(MOST_CALLS))
+
+    def counted_rate(time: float, state: Array) -> Array:
+        if next(calls_left, None) is None:
             raise ArithmeticError(f"given up after {MOST_CALLS:,} calls of the rate")
         return rate(time, state)
 
-    run = solve_ivp(counted, (0.0, seconds), x, method=method, rtol=tolerance, atol=tolerance, **more)
-    if not run.success:
-        raise ArithmeticError(run.message)
-    return run.y[:, -1]
+    solution = solve_ivp(counted_rate, (0.0, seconds), x, method=method, rtol=tolerance, atol=tolerance, **more)
+    if not solution.success:
+        raise ArithmeticError(solution.message)
+    return solution.y[:, -1]
 
 
 def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array:
@@ -307,16 +349,16 @@ def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array
         states: states (K, N).
     """
     # The held input joins the parameters, which the extended propagator uses exactly.
-    held = replace(equations, inputs=ca.SX.zeros(0), parameters=ca.vertcat(equations.parameters, equations.inputs))
-    flow = ExtendedPropagator(held, np.append(parameters, COMMAND))
+    with_held_input = replace(
+        equations, inputs=ca.SX.zeros(0), parameters=ca.vertcat(equations.parameters, equations.inputs)
+    )
+    flow = ExtendedPropagator(with_held_input, np.append(parameters, COMMAND))
     tick = extended(np.array([TICK]))[0]
-    return np.array([flow.flow(extended(x), tick) for x in states]).astype(float)
+    return np.array([flow.flow(extended(state), tick) for state in states]).astype(float)
 
 
 def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diagram]:
-    """Return the diagrams of a tick's time and error.
-
-    One is of a single run, the other of many at once.
+    """Return the diagrams of a tick's time and error, for a single run and for many runs at once.
 
     The arms have friction, and the cart's acceleration is held for a millisecond. Plants take one step of DOP853, in
     one run or in many. The filter's model takes one step of order 4. Each is the default of its use.
@@ -343,22 +385,24 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diag
         ("DOP853 of scipy", "1e-10", _each(partial(_by_scipy, rate, TICK, "DOP853", 1e-10, {}), states), False),
     ]
     steppers = [("RK4, compiled", classical_step(equations), pieces, False) for pieces in (1, 2)]
-    for label, function, pieces, flown in [*steppers, ("DOP853 step, compiled", fixed_step(equations), 1, True)]:
+    for label, function, pieces, is_default in [*steppers, ("DOP853 step, compiled", fixed_step(equations), 1, True)]:
         single, many = Stepper(function, parameters), Stepper(function, parameters, lanes=LANES)
-        setting, how = f"{pieces} step{'s' * (pieces > 1)}", {"step": TICK / pieces, "command": COMMAND}
-        rows.append((label, setting, _each(single.fly, states, TICK, **how), flown))
-        rows.append((f"{label}, {LANES} at once", setting, _together(many.fly, states, TICK, **how), flown))
-    tried = [Alternative(*single, units=LANES) for single in rows]
+        setting, step_options = f"{pieces} step{'s' * (pieces > 1)}", {"step": TICK / pieces, "command": COMMAND}
+        rows.append((label, setting, _each(single.fly, states, TICK, **step_options), is_default))
+        rows.append(
+            (f"{label}, {LANES} at once", setting, _together(many.fly, states, TICK, **step_options), is_default)
+        )
+    alternatives = [Alternative(*single, units=LANES) for single in rows]
 
     def judge(_: Alternative[Array], arrived: Array) -> Judged:
         return Judged(float(np.abs((arrived - truth) / scale).max()))
 
-    ticks = compare(tried, judge, rounds=9 if quick else 25)
-    alone, together = (
+    ticks = compare(alternatives, judge, rounds=9 if quick else 25)
+    single_run, many_runs = (
         replace(
             ticks, title=f"a tick of 1 ms, {what}", x_label="time of a tick, s", y_label="error, scaled", floor=1e-15,
-            points=tuple(p for p in ticks.points if ("at once" in p.method) is many),
+            points=tuple(point for point in ticks.points if ("at once" in point.method) is many),
         )
         for what, many in (("one run", False), (f"{LANES} runs", True))
     )  # fmt: skip
-    return alone, together
+    return single_run, many_runs

@@ -51,8 +51,8 @@ def stages_chart(quick: bool, progress: Progress) -> ChartPage:
     """
     with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
         points = []
-        for k, found in enumerate(pool.map(partial(_measured, programs=1 if quick else 3), STAGES)):
-            points += found
+        for k, stage_points in enumerate(pool.map(partial(_measured, programs=1 if quick else 3), STAGES)):
+            points += stage_points
             progress("stages", (k + 1) / len(STAGES))
     return ChartPage(
         name="stages",
@@ -69,13 +69,17 @@ def stages_chart(quick: bool, progress: Progress) -> ChartPage:
 
 
 def _measured(stage: str, programs: int) -> list[Point]:
-    """Return the points of a stage from so many programs with a filled cache."""
+    """Return the points of a stage: its first result with an empty and a filled cache, and its later results.
+
+    Each program runs in a separate process, and all use one temporary cache. `programs` is the number of those that
+    find a filled cache.
+    """
     call, error = STAGES[stage]
     with tempfile.TemporaryDirectory() as folder:
-        surroundings = {**os.environ, VARIABLE: f"{folder}/cache"}
+        environment = {**os.environ, VARIABLE: f"{folder}/cache"}
         codes = [PROGRAM.format(call=call, error=error, later=later) for later in (0, 0, *[1] * programs)]
-        told = [subprocess.check_output([sys.executable, "-c", code], cwd=folder, env=surroundings) for code in codes]
-    (first, *_), _, *filled = (json.loads(text.splitlines()[-1]) for text in told)
-    warm, later, errors = zip(*filled, strict=True)
-    times = {"empty cache": first, "filled cache": min(warm), "later results": min(later)}
+        outputs = [subprocess.check_output([sys.executable, "-c", code], cwd=folder, env=environment) for code in codes]
+    (empty_seconds, *_), _, *later_programs = (json.loads(text.splitlines()[-1]) for text in outputs)
+    filled_seconds, later, errors = zip(*later_programs, strict=True)
+    times = {"empty cache": empty_seconds, "filled cache": min(filled_seconds), "later results": min(later)}
     return [Point(stage, setting, seconds, errors[-1]) for setting, seconds in times.items()]

@@ -99,22 +99,25 @@ def _located(
     placed: Callable[[Array], Link],
     guess: Array,
 ) -> Located | None:
-    """Solve equations(link, H) = 0 by Newton's method, or return None.
+    """Return the solution of equations(link, H) = 0 by Newton's method as an event, or None if it does not converge.
 
     One of the equations may be redundant. Derivatives are central differences.
 
     Args:
-        guess: unknowns of the link and the followed quantity.
+        problem: matching of two tubes.
+        kind: kind of the event, such as "saddle-node".
+        equations: function from a link and the followed quantity H to the residuals.
         placed: function from unknowns, the duration last, to a link.
+        guess: unknowns of the link and the followed quantity.
     """
     # Phases, duration in s, followed quantity.
     steps = 1e-5 * np.array([*np.ones(len(guess) - 2), guess[-2], problem.course.scale])
 
-    def value_at(y: Array) -> Array:
-        return equations(placed(y[:-1]), float(y[-1]))
+    def value_at(unknowns: Array) -> Array:
+        return equations(placed(unknowns[:-1]), float(unknowns[-1]))
 
-    def linearised(y: Array) -> tuple[Array, Array]:
-        return value_at(y), differenced(value_at, y, steps)
+    def linearised(unknowns: Array) -> tuple[Array, Array]:
+        return value_at(unknowns), differenced(value_at, unknowns, steps)
 
     # Solutions must be within a tenth of the guess. Orbits may not exist farther away.
     solution = _NEWTON.solve(linearised, guess, (guess - 1e4 * steps, guess + 1e4 * steps))
@@ -125,12 +128,12 @@ def _located(
 
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
-    """Locate the turn after a point of a path, or return None.
+    """Return the saddle-node or pitchfork at which a path turns after one of its points, or None if it is not found.
 
     Args:
         problem: matching of two tubes.
         path: solutions in order.
-        index: number of the point.
+        index: index of the last point before the turn.
     """
     start = path.points[0].value
     before, after = path.points[index : index + 2]
@@ -149,31 +152,42 @@ def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
 
 
 def _turn_from(problem: LinkProblem, extreme: PathPoint, before: Link, after: Link, reach: float) -> Located | None:
-    """Locate a turn from a neighbouring point."""
-    which = problem.symmetry(extreme.link)
-    if which is not None:
-        return _near(_on_mirror(problem, extreme, which, shedding=False), extreme.value, reach)
-    shed = None
+    """Return the bifurcation at which a path turns back between two links, solved from a point beside it, or None.
+
+    Args:
+        problem: matching of two tubes.
+        extreme: one of the two points beside the turn, the initial guess.
+        before: link before the turn.
+        after: link after the turn.
+        reach: largest distance of the event from the guess, in the followed quantity.
+    """
+    reverser = problem.symmetry(extreme.link)
+    if reverser is not None:
+        return _near(_on_mirror(problem, extreme, reverser, shedding=False), extreme.value, reach)
+    pitchfork = None
     for mirror in range(len(problem.system.reversers)):
         image = problem.mirrored(extreme.link, mirror)
         # A pair turns back at the symmetric connection, so a pitchfork is possible only near it.
         if image is not None and problem.distance_between(extreme.link, image) < 0.1:
-            shed = _near(_on_mirror(problem, extreme, mirror, shedding=True), extreme.value, reach)
-    if shed is not None and _exchanged(problem, before, after):
-        return shed
-    turned = _near(_tangent(problem, extreme), extreme.value, reach)
+            pitchfork = _near(_on_mirror(problem, extreme, mirror, shedding=True), extreme.value, reach)
+    if pitchfork is not None and _exchanged(problem, before, after):
+        return pitchfork
+    saddle_node = _near(_tangent(problem, extreme), extreme.value, reach)
     # The saddle-node's equations are degenerate at symmetric connections. If both kinds converge, it is a pitchfork.
-    if shed is not None and (turned is None or abs(turned.value - shed.value) < 1e-6 * problem.course.scale):
-        return shed
-    return turned
+    if pitchfork is not None and (
+        saddle_node is None or abs(saddle_node.value - pitchfork.value) < 1e-6 * problem.course.scale
+    ):
+        return pitchfork
+    return saddle_node
 
 
 def _near(event: Located | None, value: float, reach: float) -> Located | None:
+    """Return an event if it is solved and within `reach` of a value of the followed quantity, otherwise None."""
     return event if event is not None and event.residual < 1e-8 and abs(event.value - value) < reach else None
 
 
 def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
-    """Solve F = 0, σ = 0 from a nearby point."""
+    """Return the saddle-node near a point of a path, the solution of F = 0 and σ = 0, or None."""
 
     def equations(link: Link, value: float) -> Array:
         match = problem.match(link, value)
@@ -183,7 +197,11 @@ def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
 
 
 def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: bool) -> Located | None:
-    """Solve for a symmetric pitchfork (`shedding`) or saddle-node."""
+    """Return the event of a symmetric connection near a point of a path, or None if Newton's method does not converge.
+
+    The connection's middle stays on the fixed set of the reverser with index `which`. The event is a pitchfork (b = 0)
+    if `shedding`, which means that a mirror pair branches off, and otherwise a saddle-node (a = 0).
+    """
     link = point.link
     image = problem.mirrored(link, which)
     assert image is not None
@@ -191,17 +209,19 @@ def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: 
     phase = link.phases[0] + phase_gap(image.phases[0], link.phases[0]) / 2
 
     def equations(link: Link, value: float) -> Array:
-        mirror = problem.mirror(link, value, which)
-        return np.append(mirror.miss, mirror.shedding if shedding else mirror.fold)
+        match = problem.mirror(link, value, which)
+        return np.append(match.miss, match.shedding if shedding else match.fold)
 
     kind, guess = "pitchfork" if shedding else "saddle-node", np.array([phase, link.duration, point.value])
-    return _located(problem, kind, equations, lambda y: link.at([y[0], y[0] + 0.5 * which, y[1]]), guess)
+    return _located(
+        problem, kind, equations, lambda unknowns: link.at([unknowns[0], unknowns[0] + 0.5 * which, unknowns[1]]), guess
+    )
 
 
 def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
-    """Return True if a reverser exchanges the sides of a turn."""
-    for which in range(len(problem.system.reversers)):
-        images = problem.mirrored(before, which), problem.mirrored(after, which)
+    """Return True if a reverser exchanges the links on the two sides of a turn, as it does at a pitchfork."""
+    for reverser in range(len(problem.system.reversers)):
+        images = problem.mirrored(before, reverser), problem.mirrored(after, reverser)
         if images[0] is None or images[1] is None or images[0].branches != before.branches:
             continue
         if phase_gap(before.phases[0], images[0].phases[0]) * phase_gap(after.phases[0], images[1].phases[0]) < 0:
@@ -210,7 +230,7 @@ def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
 
 
 def locate_graze(problem: LinkProblem, first: PathPoint, second: PathPoint) -> list[Located]:
-    """Locate every touch of the section between two points of a path that does not turn between them.
+    """Return every touch of the section by a connection between two points of a path that does not turn between them.
 
     The result is in order of value, and empty without a bracket.
 
@@ -225,18 +245,22 @@ def locate_graze(problem: LinkProblem, first: PathPoint, second: PathPoint) -> l
 
 
 def _touches(problem: LinkProblem, first: PathPoint, second: PathPoint, halvings: int = 31) -> list[Located]:
-    a, b = (profile(problem, p.link, p.value) for p in (first, second))
-    if a.count == b.count:
+    """Return the touches of the section by extrema of the height over it, between two points of a path.
+
+    If the number of extrema differs at the two points, the interval is halved, at most `halvings` times.
+    """
+    first_profile, second_profile = (profile(problem, p.link, p.value) for p in (first, second))
+    if first_profile.count == second_profile.count:
         return []
-    if len(a.heights) == len(b.heights):
+    if len(first_profile.heights) == len(second_profile.heights):
         # With the same extrema on both sides, those that crossed a level have touched it in between.
         touches = []
-        for k in range(1, len(a.heights) - 1):
-            low, high = sorted((a.heights[k], b.heights[k]))
+        for extremum in range(1, len(first_profile.heights) - 1):
+            low, high = sorted((first_profile.heights[extremum], second_profile.heights[extremum]))
             period = problem.section(first.value).period
             level = np.ceil(low / period) * period if period else 0.0
             if low < level <= high:
-                touches.append(_touch(problem, first, second, k, float(level), len(a.heights)))
+                touches.append(_touch(problem, first, second, extremum, float(level), len(first_profile.heights)))
         return [touch for touch in touches if touch is not None]
     if not halvings:
         return []
@@ -249,17 +273,21 @@ def _touches(problem: LinkProblem, first: PathPoint, second: PathPoint, halvings
 
 
 def _middle_touch(problem: LinkProblem, first: PathPoint, second: PathPoint) -> Located | None:
-    """Locate a tangency of a symmetric connection's midpoint to the section."""
-    which = problem.symmetry(first.link)
-    if which is None or problem.symmetry(second.link) != which:
+    """Return the event at which a symmetric connection's midpoint is tangent to the section, or None without one.
+
+    Such a connection's midpoint stays on the section. Its rate across the section changes sign between the two points.
+    """
+    reverser = problem.symmetry(first.link)
+    if reverser is None or problem.symmetry(second.link) != reverser:
         return None
     normal = np.asarray(problem.section(first.value).normal)
 
     def rate(state: Array, value: float) -> float:
+        """Return the rate of the height over the section at a state (N,), 1/s."""
         return float(normal @ problem.course.at(value)[0].numeric.rate(state))
 
     states = [(problem.match(p.link, p.value).state, p.value) for p in (first, second)]
-    if any(abs(normal @ x - problem.section(value).level(x)) > 1e-6 for x, value in states):
+    if any(abs(normal @ midpoint - problem.section(value).level(midpoint)) > 1e-6 for midpoint, value in states):
         return None
     rates = [rate(*state) for state in states]
     if rates[0] * rates[1] > 0:
@@ -269,8 +297,9 @@ def _middle_touch(problem: LinkProblem, first: PathPoint, second: PathPoint) -> 
     offset = guess.phases[1] - guess.phases[0]
 
     def tangent(link: Link, value: float) -> Array:
+        """Return the residuals of off Fix R = 0 and ḣ = 0 at a link."""
         state = problem.match(link, value).state
-        return np.append(problem.mirror(link, value, which).miss, rate(state, value) / 10)
+        return np.append(problem.mirror(link, value, reverser).miss, rate(state, value) / 10)
 
     start = np.array([guess.phases[0], guess.duration, first.value + share * (second.value - first.value)])
     event = _located(
@@ -281,34 +310,47 @@ def _middle_touch(problem: LinkProblem, first: PathPoint, second: PathPoint) -> 
 
 
 def _between(first: PathPoint, second: PathPoint, share: float) -> Link:
-    """Interpolate between the links of two points."""
+    """Return the link with phases and duration interpolated linearly between two points, at a `share` from 0 to 1."""
     return first.link.at(first.link.unknowns + share * (second.link.unknowns - first.link.unknowns))
 
 
 def _touch(
     problem: LinkProblem, first: PathPoint, second: PathPoint, k: int, level: float, extrema: int
 ) -> Located | None:
-    """Solve for the value of the followed quantity at which an extremum reaches a level."""
+    """Return the section artefact at which extremum `k` of the height reaches a level between two points of a path.
+
+    Args:
+        problem: matching of two tubes.
+        first: point on one side of the touch.
+        second: point on the other side.
+        k: index of the extremum in the profile of the heights.
+        level: height of the sheet of the section that is touched.
+        extrema: number of extrema with the two ends, equal at both points.
+
+    Returns:
+        The event, or None if the extremum vanishes in between or the bracket fails.
+    """
     width = second.value - first.value
     flights: dict[float, tuple[Link, Profile]] = {}
 
     from scipy.optimize import brentq
 
     def above(value: float) -> float:
+        """Return the height of the extremum over the level at a value of the followed quantity."""
         link = problem.solved(_between(first, second, (value - first.value) / width), value).link
-        flown = profile(problem, link, value)
-        if len(flown.heights) != extrema:
+        flight_profile = profile(problem, link, value)
+        if len(flight_profile.heights) != extrema:
             raise ArithmeticError("an extremum vanished")
-        flights[value] = (link, flown)
-        return float(flown.heights[k] - level)
+        flights[value] = (link, flight_profile)
+        return float(flight_profile.heights[k] - level)
 
     try:
         value = float(brentq(above, first.value, second.value, xtol=1e-12, rtol=1e-14))  # type: ignore[arg-type]
         residual = abs(above(value))
     except (ArithmeticError, ValueError):
         return None
-    link, flown = flights[value]
-    return Located("section-artefact", value, link, flown.states[k], residual)
+    link, flight_profile = flights[value]
+    return Located("section-artefact", value, link, flight_profile.states[k], residual)
 
 
 @dataclass(frozen=True)
@@ -411,6 +453,10 @@ class Sweep:
     """The problem of a sweep, with cached searches."""
 
     def __init__(self, course: Quantity, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
+        """Prepare searches for connections from `source` to `target` that cross their section `crossings` times.
+
+        `course` is the quantity over which they are followed.
+        """
         self.problem = LinkProblem(course, source, target, distance=settings.search.distance)
         self.crossings, self.settings = crossings, settings
         self._found: dict[float, Found] = {}
@@ -435,7 +481,15 @@ class Sweep:
         return self._found[value]
 
     def _searched(self, value: float, fineness: float) -> tuple[Found, bool]:
-        """Search with scaled chords; also return True if cuts are resolved."""
+        """Search for links by intersecting the tubes' cuts at a value of the followed quantity.
+
+        Args:
+            value: value of the followed quantity.
+            fineness: factor on the chords of the cuts, 1 for the settings' own.
+
+        Returns:
+            The links, and True if both cuts are resolved, so that finer cuts may help.
+        """
         system, energy = self.problem.course.at(value)
         section = self.problem.section(value)
         try:
@@ -447,15 +501,20 @@ class Sweep:
         # Both tubes have similar flight times.
         hits = (self.crossings // 2 + 1, self.crossings - self.crossings // 2)
         unstable = tube_cut(manifolds[0], section, hit=hits[0], settings=settings.cut)
-        shared = manifolds[0] is manifolds[1] and hits[0] == hits[1]
-        stable = unstable if shared else tube_cut(manifolds[1], section, hit=hits[1], settings=settings.cut)
+        same_cut = manifolds[0] is manifolds[1] and hits[0] == hits[1]
+        stable = unstable if same_cut else tube_cut(manifolds[1], section, hit=hits[1], settings=settings.cut)
         crossed = intersect_cuts(system, section, manifolds, (unstable, stable), settings)
         points: list[PathPoint] = []
         unmatched = 0
-        for c in crossed.found:
-            branches = (c.sides[0].branch, c.sides[1].branch)
-            phases = (float(c.phases[0]) % 1.0, float(c.phases[1]) % 1.0)
-            guess = Link(branches, phases, float(sum(c.times)), tuple(float(k) + 0.0 for k in c.turns))
+        for intersection in crossed.found:
+            branches = (intersection.sides[0].branch, intersection.sides[1].branch)
+            phases = (float(intersection.phases[0]) % 1.0, float(intersection.phases[1]) % 1.0)
+            guess = Link(
+                branches,
+                phases,
+                float(sum(intersection.times)),
+                tuple(float(turn) + 0.0 for turn in intersection.turns),
+            )
             try:
                 point = self.problem.solved(guess, value)
             except ArithmeticError:
@@ -470,19 +529,19 @@ class Sweep:
         return searched, not unresolved
 
     def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
-        """Return the index of the point with this link, or None.
+        """Return the index of the point whose link is the given one, or None if none of them is.
 
         Args:
             link: link to find.
             points: points at the value of the link.
         """
-        gaps = [self.problem.distance_between(link, p.link) for p in points]
-        if not gaps or min(gaps) > self.settings.same:
+        distances = [self.problem.distance_between(link, p.link) for p in points]
+        if not distances or min(distances) > self.settings.same:
             return None
-        return int(np.argmin(gaps))
+        return int(np.argmin(distances))
 
     def count(self, point: PathPoint) -> int:
-        """Return the number of section crossings of a solved link.
+        """Return the number of section crossings of a solved link, computed once.
 
         Args:
             point: solution at its value.
@@ -493,7 +552,7 @@ class Sweep:
         return self._counts[key]
 
     def place(self, event: Located) -> tuple[float, float]:
-        """Return (q, p/p₀) at the section crossing or touch of an event.
+        """Return the point (q, p/p₀) at which an event is drawn on the section: its first crossing, or its touch.
 
         Args:
             event: located bifurcation or section artefact.
@@ -512,29 +571,42 @@ class Sweep:
         return np.full(2, np.nan) if state is None else self._placed(state, value)
 
     def _runs(self, points: Sequence[PathPoint]) -> list[Branch]:
-        """Return the stretches of a path with the required number of crossings."""
-        asked = [self.count(point) == self.crossings for point in points]
-        runs = [list(run) for crosses, run in groupby(zip(asked, points, strict=True), lambda pair: pair[0]) if crosses]
+        """Return the stretches of a path with the required number of crossings, as branches to draw.
+
+        Points that do not cross the section are left out, and so are stretches of a single point.
+        """
+        has_crossings = [self.count(point) == self.crossings for point in points]
+        stretches = [
+            list(stretch)
+            for required, stretch in groupby(zip(has_crossings, points, strict=True), lambda pair: pair[0])
+            if required
+        ]
         branches = []
-        for run in runs:
-            values = np.array([point.value for _, point in run])
-            places = np.array([self._first_crossing(point.link, point.value) for _, point in run])
-            seen = np.isfinite(places[:, 0])
-            if np.count_nonzero(seen) > 1:
-                branches.append(Branch(values[seen], places[seen]))
+        for stretch in stretches:
+            values = np.array([point.value for _, point in stretch])
+            places = np.array([self._first_crossing(point.link, point.value) for _, point in stretch])
+            on_section = np.isfinite(places[:, 0])
+            if np.count_nonzero(on_section) > 1:
+                branches.append(Branch(values[on_section], places[on_section]))
         return branches
 
     def between(self, low: float, high: float) -> Interval:
-        """Explain the differences between two searches, with a cache.
+        """Return the events and unexplained changes between two neighbouring searches, from the cache if possible.
+
+        Connections that continuation reveals and a search has missed are added to that search. The interval is then
+        explained again.
 
         Args:
-            low: value of the first search, J.
-            high: value of the second search, J.
+            low: value of the first search.
+            high: value of the second search.
         """
         before, after = self.search(low), self.search(high)
         if (low, high) not in self._intervals:
             interval, missed = self._changes(before, after)
-            amended = [self._amend(e, [p for p in missed if p.value == e]) for e in sorted({p.value for p in missed})]
+            amended = [
+                self._amend(value, [p for p in missed if p.value == value])
+                for value in sorted({p.value for p in missed})
+            ]
             if any(amended):
                 return self.between(low, high)
             if missed:
@@ -544,30 +616,38 @@ class Sweep:
         return self._intervals[low, high]
 
     def explained(self, low: float, high: float) -> bool:
-        """Return True if an interval's cached explanation is up to date.
+        """Return True if `between` has an explanation of an interval that later finds have not invalidated.
 
         Args:
-            low: lowest value of the interval, J.
-            high: highest value of the interval, J.
+            low: lowest value of the interval.
+            high: highest value of the interval.
         """
         return (low, high) in self._intervals
 
     def _amend(self, value: float, missed: list[PathPoint]) -> bool:
-        """Add missed connections with mirror images; return True if any is new."""
+        """Add missed connections and their mirror images to the search at a value, and return True if any is new.
+
+        Explanations of intervals that end at this value are dropped, since they are out of date.
+        """
         points = list(self._found[value].points)
-        before = len(points)
+        old_count = len(points)
         for point in missed:
             images = [self.problem.mirrored(point.link, k) for k in range(len(self.problem.system.reversers))]
-            for link in [point.link, *(i for i in images if i is not None)]:
-                known_branch = any(link.branches[0] == p.link.branches[0] for p in [*points, point])
+            for link in [point.link, *(image for image in images if image is not None)]:
+                known_branch = any(link.branches[0] == solution.link.branches[0] for solution in [*points, point])
                 if known_branch and self.among(link, points) is None:
                     points.append(PathPoint(link, value, point.tangency))
         self._found[value] = replace(self._found[value], points=tuple(points))
-        self._intervals = {k: v for k, v in self._intervals.items() if value not in k}
-        return len(points) > before
+        self._intervals = {k: interval for k, interval in self._intervals.items() if value not in k}
+        return len(points) > old_count
 
     def _changes(self, before: Found, after: Found) -> tuple[Interval, list[PathPoint]]:
-        """Follow unmatched connections of two neighbouring searches.
+        """Explain the differences between two neighbouring searches by following their unmatched connections.
+
+        Connections are first carried from the lower value to the higher one. Those without a partner on the other side
+        (`lost` and `born`) are then followed around their turns.
+
+        `before` is the search at the lower value of the followed quantity, and `after` the one at the higher value.
 
         Returns:
             The events, and connections that the searches should have found.
@@ -578,6 +658,7 @@ class Sweep:
         for k, point in enumerate(before.points):
             arrived = carry(self.problem, point, after.value)
             match = None if arrived is None else self.among(arrived.link, after.points)
+            # Both searches have this connection, so nothing happened to it.
             if match is not None and match in born:
                 lost.discard(k)
                 born.discard(match)
@@ -588,10 +669,10 @@ class Sweep:
                 missed.append(arrived)
         changes: list[Change] = []
         gaps: list[Gap] = []
-        for left, start, goal in ((lost, before, after), (born, after, before)):
-            while left:
-                k = min(left)
-                left.discard(k)
+        for unmatched, start, goal in ((lost, before, after), (born, after, before)):
+            while unmatched:
+                k = min(unmatched)
+                unmatched.discard(k)
                 path = follow(self.problem, start.points[k].link, start.value, goal.value)
                 if path.gap is not None:
                     gaps.append(path.gap)
@@ -599,7 +680,7 @@ class Sweep:
                 end = path.points[-1]
                 arrived = self.among(end.link, (start if path.returned else goal).points)
                 if path.returned and arrived is not None:
-                    left.discard(arrived)
+                    unmatched.discard(arrived)
                 elif not path.returned and arrived is not None and goal is after:
                     born.discard(arrived)
                 elif arrived is None and self.count(end) == self.crossings:
@@ -609,7 +690,12 @@ class Sweep:
         return Interval(tuple(self._distinct(changes)), tuple(gaps), tuple(runs)), missed
 
     def _along(self, path: Path, changes: list[Change], gaps: list[Gap]) -> None:
-        """Add the turns and touches along a path."""
+        """Append the events along a followed path to `changes`, and the places where none was located to `gaps`.
+
+        Only events that change the number of connections with the required crossings count.
+
+        A gap is the cause for which an event is missing. It keeps the sweep from claiming that the counts add up.
+        """
         points, gap = path.points, partial(Gap, self.problem.course)
         counts = [self.count(p) for p in points]
         for k in range(len(points) - 1):
@@ -634,15 +720,17 @@ class Sweep:
                     rising = 1 if points[k + 1].value > points[k].value else -1
                     # Of several touches, the one next to the required count changed it.
                     near_end = points[k + 1].value if gain > 0 else points[k].value
-                    event = min(touches, key=lambda t: abs(t.value - near_end))
+                    event = min(touches, key=lambda touch: abs(touch.value - near_end))
                     changes.append(Change(event, gain * rising))
 
     def _distinct(self, changes: list[Change]) -> list[Change]:
-        """Remove events found twice, from both partners."""
+        """Return the changes without duplicates, since each of the connections that meet at an event finds it."""
 
         def same(a: Located, b: Located) -> bool:
-            near = abs(a.value - b.value) < 1e-7 * self.problem.course.scale
-            return a.kind == b.kind and near and self.problem.distance_between(a.link, b.link) < 10 * self.settings.same
+            is_near = abs(a.value - b.value) < 1e-7 * self.problem.course.scale
+            return (
+                a.kind == b.kind and is_near and self.problem.distance_between(a.link, b.link) < 10 * self.settings.same
+            )
 
         distinct: list[Change] = []
         for change in changes:
@@ -764,7 +852,7 @@ class BifurcationSearch(Shown, Documented):
 
     @property
     def missed(self) -> str:
-        """Which changes of the count were not located."""
+        """Sentence on the changes of the count that were not located, empty if there are none."""
         return f"not every change of the count was located: {self.status}" if self.unexplained else ""
 
     @property
@@ -791,7 +879,7 @@ def find_bifurcations(
     settings: SweepSettings | None = None,
     progress: Progress = no_progress,
 ) -> BifurcationSearch:
-    """Find the bifurcations of connections between two values of a quantity.
+    """Find the values of a quantity at which connections between two saddles appear, split or change.
 
     Args:
         course: followed quantity of systems of two degrees of freedom.
@@ -849,48 +937,76 @@ def find_bifurcations(
 def _beginning(
     course: Quantity, saddles: tuple[str, str], values: tuple[float, float], closest: float
 ) -> tuple[float, float | None]:
-    """Return the first value of a sweep, and the energy of the higher saddle if the sweep starts just above it."""
+    """Return the first value of a sweep, and the energy of the higher saddle if the sweep starts just above it.
+
+    A sweep of energies cannot start below the higher of its saddles, where orbits do not exist.
+
+    Args:
+        course: followed quantity.
+        saddles: names of source and target.
+        values: lowest and highest value requested.
+        closest: least height above the saddle, relative to the energy scale.
+
+    Raises:
+        InputError: the values are not in ascending order, or both orbits do not exist there.
+    """
     (low, high), joule = values, course.system.unit("J")
     if not low < high:
         raise InputError(f"{course.quantity} {low:g} to {high:g}: must be two finite numbers in ascending order")
     systems = [course.at(value)[0] for value in values]
-    births = [max(equilibrium(system, name).energy for name in saddles) for system in systems]
-    floors = [birth + closest * system.energy_scale for birth, system in zip(births, systems, strict=True)]
+    saddle_energies = [max(equilibrium(system, name).energy for name in saddles) for system in systems]
+    lowest_energies = [
+        saddle_energy + closest * system.energy_scale
+        for saddle_energy, system in zip(saddle_energies, systems, strict=True)
+    ]
     # Of one system, only energies above both saddles have connections.
-    start = max(low, floors[0]) if systems[0] is systems[1] else low
-    for value, floor, birth in zip((start, high), floors, births, strict=True):
-        if course.at(value)[1] < floor or start >= high:
+    start = max(low, lowest_energies[0]) if systems[0] is systems[1] else low
+    for value, lowest_energy, saddle_energy in zip((start, high), lowest_energies, saddle_energies, strict=True):
+        if course.at(value)[1] < lowest_energy or start >= high:
             raise InputError(
                 f"{course.quantity} {low:g} to {high:g}{course.unit}: both orbits, and thus connections, exist only "
-                f"above {birth:.6g}{joule}, and not at {course.quantity} = {min(value, high):g}{course.unit}"
+                f"above {saddle_energy:.6g}{joule}, and not at {course.quantity} = {min(value, high):g}{course.unit}"
             )
-    return start, births[0] if start > low else None
+    return start, saddle_energies[0] if start > low else None
 
 
 def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
+    """Return True if the located events explain the change of the number of links between two searched values.
+
+    The sweep halves an interval for which they do not.
+    """
     interval = sweep.between(low, high)
     # Searches are read last, because continuation may have added to them.
-    before, after = sweep.search(low), sweep.search(high)
-    return not interval.gaps and len(before.points) + interval.gain == len(after.points)
+    lower_search, upper_search = sweep.search(low), sweep.search(high)
+    return not interval.gaps and len(lower_search.points) + interval.gain == len(upper_search.points)
 
 
 def _unexplained(sweep: Sweep, low: float, high: float) -> UnexplainedChange:
-    interval, before, after = sweep.between(low, high), sweep.search(low), sweep.search(high)
-    counts = before.count, after.count, interval.gain * after.weight
+    """Return the report of an interval whose events do not explain the change of its count, with up to three causes."""
+    interval, lower_search, upper_search = sweep.between(low, high), sweep.search(low), sweep.search(high)
+    counts = lower_search.count, upper_search.count, interval.gain * upper_search.weight
     return UnexplainedChange(
         (low, high), (Gap(sweep.problem.course, GapCause.COUNT, counts=counts), *interval.gaps[:2])
     )
 
 
 def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found]) -> tuple[Bifurcation, ...]:
-    """Merge images of one event and add counts to the events."""
+    """Return the bifurcations in order of value, with the number of connections on either side of each.
+
+    Events of the same kind at the same value are images of one another under a symmetry and become one bifurcation.
+
+    Args:
+        sweep: sweep that found the events.
+        changes: events with the number of links gained at each.
+        counts: searches at all values of the sweep, in order.
+    """
     weight = max((c.weight for c in counts), default=1)
-    near = 1e-8 * sweep.problem.course.scale
+    tolerance = 1e-8 * sweep.problem.course.scale
     groups: list[list[Change]] = []
     for change in sorted(changes, key=lambda c: c.event.value):
         kind, value = change.event.kind, change.event.value
-        same = (g for g in groups if g[0].event.kind == kind and abs(g[0].event.value - value) < near)
-        group = next(same, None)
+        images_of_event = (g for g in groups if g[0].event.kind == kind and abs(g[0].event.value - value) < tolerance)
+        group = next(images_of_event, None)
         if group is None:
             groups.append([change])
         else:

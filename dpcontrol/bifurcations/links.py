@@ -76,7 +76,7 @@ class Quantity:
 
     @classmethod
     def of_energy(cls, system: System) -> "Quantity":
-        """Return the energies of one system.
+        """Return the energy of a system as the quantity over which connections are followed.
 
         Args:
             system: system of any energy.
@@ -106,7 +106,7 @@ class Link:
         return np.array([*self.phases, self.duration])
 
     def at(self, unknowns: Sequence[float] | Array) -> "Link":
-        """Return the link with other phases and duration.
+        """Return the link between the same branches with other phases and another duration.
 
         Args:
             unknowns: φ_u, φ_s (1 for a period) and T, s (3,).
@@ -147,7 +147,13 @@ class Match(Brief):
 
 @dataclass(frozen=True)
 class MirrorMatch(Brief):
-    """The scaled gap (n,) between a tube and a fixed set."""
+    """The scaled gap between the middle of a connection and the fixed set of a reverser.
+
+    Attributes:
+        miss (n,): components of the gap off the fixed set; zero for a symmetric connection.
+        fold: the function a, zero if two symmetric connections meet.
+        shedding: the function b, zero if a mirror pair branches off.
+    """
 
     miss: Array
     fold: float
@@ -187,7 +193,7 @@ class LinkProblem:
         self.match: Callable[[Link, float], Match] = lru_cache(maxsize=16)(self._match)
 
     def section(self, value: float) -> Section:
-        """Return the section between the saddles.
+        """Return the section between source and target at a value of the followed quantity.
 
         Args:
             value: value of the followed quantity.
@@ -197,7 +203,7 @@ class LinkProblem:
     def _orbit(self, saddle: str, value: float) -> LyapunovOrbit:
         """Return the orbit about a saddle at a value of the followed energy or parameter.
 
-        It is continued from the nearest known one if that is near enough.
+        It is continued from the nearest orbit in the cache if that is near enough, which is faster than a new search.
 
         Raises:
             ArithmeticError: it did not converge.
@@ -206,11 +212,11 @@ class LinkProblem:
         problem, linear = symmetric_shooting(system, saddle, 0)
         nearest = self._nearest(saddle, value)
         if nearest is not None:
-            near = nearest.orbit
-            height = near.energy - float(near.system.numeric.hamiltonian(near.centre))
+            neighbour = nearest.orbit
+            height = neighbour.energy - float(neighbour.system.numeric.hamiltonian(neighbour.centre))
             # Unknowns grow as the square root of the height above the saddle, so the guess must be near.
             if 0.8 < (energy - linear.energy) / height < 1.25:
-                orbit = nearby_orbit(problem, near, energy)
+                orbit = nearby_orbit(problem, neighbour, energy)
                 if orbit.converged:
                     return orbit
         orbit = lyapunov_orbit(system, saddle, energy=energy)
@@ -220,8 +226,12 @@ class LinkProblem:
         return orbit
 
     def _nearest(self, saddle: str, value: float) -> UnstableManifold | None:
-        """Return the known manifold of a saddle at the nearest value, if any."""
-        manifolds = [(abs(at - value), manifold) for (name, at), manifold in self._manifolds.items() if name == saddle]
+        """Return the cached manifold of a saddle's orbit whose followed quantity is nearest to a value, or None."""
+        manifolds = [
+            (abs(cached_value - value), manifold)
+            for (name, cached_value), manifold in self._manifolds.items()
+            if name == saddle
+        ]
         return min(manifolds, key=lambda pair: pair[0], default=(0.0, None))[1]
 
     def manifold(self, saddle: str, value: float) -> UnstableManifold:
@@ -245,7 +255,7 @@ class LinkProblem:
         return self._manifolds[saddle, value]
 
     def manifolds(self, value: float) -> tuple[UnstableManifold, UnstableManifold]:
-        """Return the manifolds of source and target, one object if identical.
+        """Return the unstable manifolds of source and target, whose seeds begin the tubes; one object if both are one.
 
         Args:
             value: value of the followed quantity.
@@ -253,13 +263,19 @@ class LinkProblem:
         return self.manifold(self.source, value), self.manifold(self.target, value)
 
     def _flown(self, manifold: UnstableManifold, branch: int, phase: float, seconds: float) -> tuple[Array, Array]:
-        """Return a seed's state after `seconds` (s), and its derivative by phase."""
+        """Propagate a seed of an unstable manifold for `seconds` (s), without a section.
+
+        `branch` is the side of the orbit, ±1, and `phase` that of the seed on the orbit, 1 for a period.
+
+        Returns:
+            The state (N,) after this time, and its derivative (N,) by the phase.
+        """
         seeds, slopes = manifold.seeds(np.array([phase]), branch)
         state, stm = manifold.orbit.system.propagator.flow_with_stm(seeds[0], seconds)
         return state, stm @ slopes[0]
 
     def turned(self, states: Array, centre: Array) -> Array:
-        """Return the time-reversed states (…, N) about the target.
+        """Return time-reversed states (…, N) about the target's equilibrium, by which the stable tube follows.
 
         Args:
             states: states (…, N).
@@ -268,7 +284,7 @@ class LinkProblem:
         return (states - centre) @ self.system.reversers[0].T + centre
 
     def _match(self, link: Link, value: float) -> Match:
-        """Propagate both tubes to the middle of the connection and compare.
+        """Propagate both tubes to the middle of a connection and return their gap with its derivatives.
 
         Args:
             link: guess or solution.
@@ -280,18 +296,24 @@ class LinkProblem:
         first, second = self.manifolds(value)
         system, scale = first.orbit.system, self.system.scale
         half = link.duration / 2
-        xu, du = self._flown(first, link.branches[0], link.phases[0], half)
-        back, ds = self._flown(second, link.branches[1], link.phases[1], half)
-        xs, ds = self.turned(back, second.orbit.centre), system.reversers[0] @ ds
-        gap = (xu - xs - np.asarray(link.turns) * system.turn_lengths) / scale
-        along = (system.numeric.rate(xu) + system.numeric.rate(xs)) / 2
-        jacobian = np.column_stack([du, -ds, along]) / scale[:, None]
-        columns = np.column_stack([jacobian, system.numeric.gradient(xu) * scale])
+        unstable_end, unstable_slope = self._flown(first, link.branches[0], link.phases[0], half)
+        reversed_end, stable_slope = self._flown(second, link.branches[1], link.phases[1], half)
+        stable_end, stable_slope = self.turned(reversed_end, second.orbit.centre), system.reversers[0] @ stable_slope
+        # The stable tube is the time-reversed image of an unstable one.
+        gap = (unstable_end - stable_end - np.asarray(link.turns) * system.turn_lengths) / scale
+        along = (system.numeric.rate(unstable_end) + system.numeric.rate(stable_end)) / 2
+        jacobian = np.column_stack([unstable_slope, -stable_slope, along]) / scale[:, None]
+        columns = np.column_stack([jacobian, system.numeric.gradient(unstable_end) * scale])
         tangency = float(np.linalg.det(columns / np.linalg.norm(columns, axis=0)))
-        return Match(gap, jacobian, tangency, xu)
+        return Match(gap, jacobian, tangency, unstable_end)
 
     def mirror(self, link: Link, value: float, which: int) -> MirrorMatch:
-        """Compare the middle of a connection with a reverser's fixed set.
+        """Return the scaled vector from a reverser's fixed set to a connection's middle, and two test functions there.
+
+        Symmetric connections have their middle on the fixed set. The tangent of the manifold in the middle has a part
+        that the reverser reverses and one that it keeps. `fold` is the first one across the flow, and vanishes where
+        two symmetric connections meet. `shedding` is the second one across the energy's gradient, and vanishes where a
+        pair of mirror images branches off.
 
         Args:
             link: guess or solution.
@@ -300,28 +322,28 @@ class LinkProblem:
         """
         manifold = self.manifold(self.source, value)
         system, scale = manifold.orbit.system, self.system.scale
-        x, slope = self._flown(manifold, link.branches[0], link.phases[0], link.duration / 2)
+        state, slope = self._flown(manifold, link.branches[0], link.phases[0], link.duration / 2)
         reverser = system.reversers[which]
         turned_over = (np.eye(4) - reverser) / 2
-        off = turned_over @ (x - manifold.orbit.centre)
-        off = off - system.nearest_turns(2 * off) * system.turn_lengths / 2
+        deviation = turned_over @ (state - manifold.orbit.centre)
+        deviation = deviation - system.nearest_turns(2 * deviation) * system.turn_lengths / 2
         rows = np.linalg.svd(turned_over / scale[:, None])[0][:, :2].T
-        miss = rows @ (off / scale)
-        rate = turned_over @ system.numeric.rate(x)
-        d_minus, f_minus = rows @ (turned_over @ slope / scale), rows @ (rate / scale)
+        miss = rows @ (deviation / scale)
+        rate = turned_over @ system.numeric.rate(state)
+        slope_reversed, rate_reversed = rows @ (turned_over @ slope / scale), rows @ (rate / scale)
         basis = np.linalg.svd((np.eye(4) + reverser) / 2 / scale[:, None])[0][:, :2].T
-        d_plus = basis @ (slope / scale)
-        normal = basis @ (system.numeric.gradient(x) * scale)
+        slope_fixed = basis @ (slope / scale)
+        normal = basis @ (system.numeric.gradient(state) * scale)
         # The scale must not be (a, b) itself, which nearly vanishes if both kinds of event coincide.
         size = float(np.linalg.norm(slope / scale))
         fold, shedding = (
-            float((d[0] * along[1] - d[1] * along[0]) / np.linalg.norm(along)) / size
-            for d, along in ((d_minus, f_minus), (d_plus, normal))
+            float((slope_part[0] * along[1] - slope_part[1] * along[0]) / np.linalg.norm(along)) / size
+            for slope_part, along in ((slope_reversed, rate_reversed), (slope_fixed, normal))
         )
         return MirrorMatch(miss, fold, shedding)
 
     def symmetry(self, link: Link, within: float = 1e-6) -> int | None:
-        """Return the index of the reverser that preserves the link, or None.
+        """Return the index of the time reversal (reverser) that maps a link to itself, or None if it is not symmetric.
 
         Args:
             link: solution.
@@ -334,7 +356,7 @@ class LinkProblem:
         return None
 
     def mirrored(self, link: Link, which: int) -> Link | None:
-        """Return the image of a homoclinic link under a reverser, or None.
+        """Return the image of a homoclinic link under a time reversal (reverser), or None for a heteroclinic link.
 
         Args:
             link: homoclinic link.
@@ -344,9 +366,9 @@ class LinkProblem:
             return None
         if which == 0:
             return replace(link, branches=link.branches[::-1], phases=link.phases[::-1])
-        half = next(iter(self._manifolds.values())).half_turn
-        assert half is not None
-        sign = int(half[1])
+        half_turn = next(iter(self._manifolds.values())).half_turn
+        assert half_turn is not None
+        sign = int(half_turn[1])
         branches = (sign * link.branches[1], sign * link.branches[0])
         return replace(link, branches=branches, phases=(link.phases[1] + 0.5, link.phases[0] + 0.5))
 
@@ -363,7 +385,7 @@ class LinkProblem:
         return max(*gaps, abs(first.duration / second.duration - 1))
 
     def solved(self, link: Link, value: float) -> PathPoint:
-        """Solve F = 0 from an initial guess.
+        """Return the connection near a link, the solution of F = 0 at a fixed value of the followed quantity.
 
         Args:
             link: initial guess.
@@ -403,6 +425,9 @@ class LinkCurve:
 
         Args:
             guess: (φ_u, φ_s, T, H) (4,).
+
+        Returns:
+            Function of the unknowns (4,) to the scaled gap (N,) and its derivative (N, 4).
         """
         guessed, width = self.link.at(guess), np.array([1e-5 * self.scale])
         slope = differenced(lambda value: self.problem.match(guessed, float(value[0])).gap, guess[3:], width)
@@ -414,7 +439,7 @@ class LinkCurve:
         return equations
 
     def quantity(self, unknowns: Array) -> tuple[float, Array]:
-        """Return the followed quantity and its gradient.
+        """Return the followed quantity of a point on the curve, and its gradient (4,) by the unknowns.
 
         Args:
             unknowns: (φ_u, φ_s, T, H) (4,).
@@ -422,7 +447,7 @@ class LinkCurve:
         return float(unknowns[3]), np.array([0.0, 0.0, 0.0, 1.0])
 
     def bounds(self, guess: Array) -> Bounds:
-        """Return the lowest and highest unknowns near a guess.
+        """Return the lowest and highest unknowns (4,) that Newton's method may reach from a guess.
 
         Args:
             guess: (φ_u, φ_s, T, H) (4,).
@@ -431,7 +456,7 @@ class LinkCurve:
         return guess - reach, guess + reach
 
     def measure(self, unknowns: Array) -> dict[str, float]:
-        """Return the tangency σ.
+        """Return the tangency σ of a point on the curve, which continuation records at each step.
 
         Args:
             unknowns: (φ_u, φ_s, T, H) (4,).
@@ -491,12 +516,13 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
     Args:
         problem: matching of two tubes.
         point: solution at its value.
-        goal: the other value, J.
+        goal: the other value.
         smallest: shortest step, as a share of the whole way.
     """
-    way = abs(goal - point.value)
+    distance = abs(goal - point.value)
 
     def following(point: PathPoint, _: float, value: float) -> PathPoint | None:
+        """Return the connection at the next value, or None if it may have turned on the way."""
         try:
             match, curve = problem.match(point.link, point.value), LinkCurve(problem, point.link)
             by_value = curve.near(point.coordinates)(point.coordinates)[1][:, 3]
@@ -506,38 +532,39 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
         except UNSOLVED:
             return None
         reach = 0.02 * np.array([1.0, 1.0, arrived.link.duration])
-        poor = np.any(np.abs(arrived.link.unknowns - guess.unknowns) > reach)
+        far = np.any(np.abs(arrived.link.unknowns - guess.unknowns) > reach)
         turned = arrived.tangency * point.tangency <= 0
-        return None if poor or turned or problem.symmetry(arrived.link) != problem.symmetry(point.link) else arrived
+        return None if far or turned or problem.symmetry(arrived.link) != problem.symmetry(point.link) else arrived
 
-    last, reached = stepped(point, (point.value, goal), following, longest=way, smallest=smallest * way)
+    last, reached = stepped(point, (point.value, goal), following, longest=distance, smallest=smallest * distance)
     return last if reached == goal else None
 
 
 def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps: int = 120) -> Path:
-    """Follow a connection through all turns until it arrives or returns.
+    """Follow a connection over the quantity, around all its turns, until it arrives at the goal or returns.
 
     Args:
         problem: matching of two tubes.
         link: connection solved at value `start`.
-        start: initial value, J.
-        goal: final value, J.
+        start: initial value of the followed quantity.
+        goal: final value.
         steps: largest number of steps.
     """
     way = goal - start
     # Turns are parabolas, so the change in phase is the square root of a small change in the quantity.
-    size = 0.05 * min(1.0, float(np.sqrt(100 * abs(way) / problem.course.scale)))
+    phase_step = 0.05 * min(1.0, float(np.sqrt(100 * abs(way) / problem.course.scale)))
     points: list[PathPoint] = []
     turns: list[int] = []
     try:
         points.append(problem.solved(link, start))
         link, symmetry, heading = points[0].link, problem.symmetry(points[0].link), np.sign(way) * np.eye(4)[3]
         curve_of_links = LinkCurve(problem, link)
-        weights = np.array([size, size, size * link.duration, abs(way)])
+        weights = np.array([phase_step, phase_step, phase_step * link.duration, abs(way)])
         curve = Curve(curve_of_links, weights, _ON_CURVE, _ROUNDED, curve_of_links.measure)
         first = curve.point(points[0].coordinates, heading, 0.0)
 
         def refused(point: CurvePoint, following: CurvePoint) -> bool:
+            """Return True if a step of the continuation must be repeated with a shorter length."""
             # A first step that ends behind the start has skipped a turn. Near a pitchfork, a long step may jump between
             # the pair and the symmetric connection.
             skipped = point is first and (following.value - start) * way <= 0
@@ -563,6 +590,8 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
 
 def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:
     """Return the point of a path on the plane halfway along the chord of two points and normal to it, or None.
+
+    It bisects a path around a turn, at which the path is no function of the followed quantity.
 
     Args:
         problem: matching of two tubes.
@@ -600,7 +629,7 @@ class Profile(Brief):
 
 
 def fly_whole(problem: LinkProblem, link: Link, value: float) -> tuple[Array, Array]:
-    """Return times (M,) and states (M, N) from seed to seed.
+    """Return the whole flight of a connection from the seed of its source's tube to that of its target's.
 
     Args:
         problem: matching of two tubes.
@@ -611,16 +640,20 @@ def fly_whole(problem: LinkProblem, link: Link, value: float) -> tuple[Array, Ar
         Times (M,), s, and states (M, N).
     """
     half, manifolds = np.linspace(0.0, link.duration / 2, _SAMPLES + 1), problem.manifolds(value)
-    out, back = (
+    source_half, target_half = (
         manifold.orbit.system.propagator.sample(manifold.seeds(np.array([phase]), branch)[0][0], half)
         for manifold, phase, branch in zip(manifolds, link.phases, link.branches, strict=True)
     )
-    back = problem.turned(back, manifolds[1].orbit.centre) + np.asarray(link.turns) * problem.system.turn_lengths
-    return np.concatenate([half, link.duration - half[::-1][1:]]), np.vstack([out, back[::-1][1:]])
+    target_half = (
+        problem.turned(target_half, manifolds[1].orbit.centre) + np.asarray(link.turns) * problem.system.turn_lengths
+    )
+    return np.concatenate([half, link.duration - half[::-1][1:]]), np.vstack([source_half, target_half[::-1][1:]])
 
 
 def profile(problem: LinkProblem, link: Link, value: float) -> Profile:
-    """Count a solved connection's section crossings between extrema of the height.
+    """Return a solved connection's heights over its section at all extrema, and its number of section crossings.
+
+    Crossings are counted between extrema, since the height is monotonic there.
 
     Args:
         problem: matching of two tubes.
@@ -630,13 +663,13 @@ def profile(problem: LinkProblem, link: Link, value: float) -> Profile:
     times, states = fly_whole(problem, link, value)
     system, section = problem.course.at(value)[0], problem.section(value)
     rates = system.numeric.rate(states) @ np.asarray(section.normal)
-    turning = np.flatnonzero(np.sign(rates[:-1]) * np.sign(rates[1:]) < 0)
+    extremum_samples = np.flatnonzero(np.sign(rates[:-1]) * np.sign(rates[1:]) < 0)
     extrema = [
         _extremum(system, states[k], times[k + 1] - times[k], rates[k] / (rates[k] - rates[k + 1]), section)
-        for k in turning
+        for k in extremum_samples
     ]
     knots, heights = np.array([states[0], *extrema, states[-1]]), section.height(states)
-    ends = [0, *turning.tolist(), len(times) - 1]
+    ends = [0, *extremum_samples.tolist(), len(times) - 1]
     levels, count = section.height(knots), 0
     for k in range(len(levels) - 1):
         low, high = sorted(levels[k : k + 2])
@@ -644,14 +677,14 @@ def profile(problem: LinkProblem, link: Link, value: float) -> Profile:
         crossed = int(np.floor(high / period) - np.floor(low / period)) if period else int(low < 0 <= high)
         if crossed and section.side is not None:
             # On a one-sided section, the state at the crossing decides.
-            at = int(np.argmin(np.abs(heights[ends[k] : ends[k + 1] + 2]))) + ends[k]
-            crossed = int(section.admits(states[at]))
+            nearest_sample = int(np.argmin(np.abs(heights[ends[k] : ends[k + 1] + 2]))) + ends[k]
+            crossed = int(section.admits(states[nearest_sample]))
         count += crossed
     return Profile(levels, knots, count)
 
 
 def first_crossing(problem: LinkProblem, link: Link, value: float) -> Array | None:
-    """Return the lifted state (N,) at the first crossing of the section.
+    """Return the state (N,) at which a connection first crosses its section, with whole turns counted, or None.
 
     Args:
         problem: matching of two tubes.
@@ -663,27 +696,30 @@ def first_crossing(problem: LinkProblem, link: Link, value: float) -> Array | No
     heights, sheets = section.height(states), section.sheets(states)
     for k in np.flatnonzero(np.diff(sheets)):
         height = max(sheets[k], sheets[k + 1]) * section.period if section.period else 0.0
-        x = states[k] + (states[k + 1] - states[k]) * (height - heights[k]) / (heights[k + 1] - heights[k])
+        crossing = states[k] + (states[k + 1] - states[k]) * (height - heights[k]) / (heights[k + 1] - heights[k])
+        # Three Newton steps in time refine the linear interpolation between samples.
         for _ in range(3):
-            rate = float(system.numeric.rate(x) @ section.normal)
-            x = system.propagator.flow(x, float(height - section.height(x)) / rate)
-        if section.admits(x):
-            return x
+            rate = float(system.numeric.rate(crossing) @ section.normal)
+            crossing = system.propagator.flow(crossing, float(height - section.height(crossing)) / rate)
+        if section.admits(crossing):
+            return crossing
     return None
 
 
 def _extremum(system: System, state: Array, span: float, share: float, section: Section) -> Array:
-    """Return the state (N,) at an extremum of the section's height.
+    """Return the state (N,) at an extremum of the height over a section, found by Newton's method in time.
 
     Args:
+        system: system of the trajectory.
         state (N,): first of two samples around the extremum.
         span: time between the samples, s.
         share: initial guess as a share of the span.
+        section: section from which the height is measured.
     """
     numeric, propagator, normal = system.numeric, system.propagator, np.asarray(section.normal)
     step = share * span
     for _ in range(4):
-        x = propagator.flow(state, step)
-        f = numeric.rate(x)
-        step = float(np.clip(step - (normal @ f) / (normal @ (numeric.jacobian(x) @ f)), 0.0, span))
+        trial = propagator.flow(state, step)
+        rate = numeric.rate(trial)
+        step = float(np.clip(step - (normal @ rate) / (normal @ (numeric.jacobian(trial) @ rate)), 0.0, span))
     return propagator.flow(state, step)

@@ -48,7 +48,8 @@ class Option(click.Option):
         self.group = group
 
     def value_is_missing(self, value: Any) -> bool:
-        # The default None is a value for click.
+        """Return True for None, so that a required option without a value is an error."""
+        # click takes the default None for a value.
         return value is None or super().value_is_missing(value)
 
 
@@ -56,6 +57,7 @@ class Command(click.Command):
     """A verb, whose help lists options by group."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options of the verb into its help, under the headings of their groups."""
         sections: dict[str, list[tuple[str, str]]] = {OPTIONS: [], SETTINGS: [], OUTPUT: []}
         for param in self.get_params(ctx):
             record = param.get_help_record(ctx) if isinstance(param, click.Option) else None
@@ -68,7 +70,7 @@ class Command(click.Command):
 
 
 def command(name: str, verb: Verb) -> click.Command:
-    """Return the command of a verb.
+    """Return the command of a verb, which calls the verb's function of `dpcontrol.api` and prints the result.
 
     Args:
         name: name of the verb.
@@ -78,21 +80,23 @@ def command(name: str, verb: Verb) -> click.Command:
 
     function = getattr(api, verb.function)
     parameters = inspect.signature(function).parameters
-    hints, (text, helps) = annotations_of(inspect.unwrap(function)), described(function)
-    given = parameters.keys() - {"progress"}
-    offered = given - (COMMON if "settings" in given else set())
+    hints, (text, argument_texts) = annotations_of(inspect.unwrap(function)), described(function)
+    accepted = parameters.keys() - {"progress"}
+    # These settings are offered by their options among the settings.
+    parameters_on_line = accepted - (COMMON if "settings" in accepted else set())
     params = [
         param
         for key, parameter in parameters.items()
-        if key in offered
-        for param in _parameters(name, verb, parameter, hints[key], helps.get(key, ""))
+        if key in parameters_on_line
+        for param in _parameters(name, verb, parameter, hints[key], argument_texts.get(key, ""))
     ]
     if verb.draws:
-        help = "Picture of the result, .png, .pdf or .svg. [default: none]"
-        params.append(Option(["--picture"], type=click.Path(path_type=Path), group=OUTPUT, help=help))
+        picture_help = "Picture of the result, .png, .pdf or .svg. [default: none]"
+        params.append(Option(["--picture"], type=click.Path(path_type=Path), group=OUTPUT, help=picture_help))
     params.append(Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="One JSON document on stdout."))
 
     def run(*, as_json: bool, **values: Any) -> None:
+        """Call the function with the values of the command line, print its result, and draw it if requested."""
         call = click.get_current_context().ensure_object(Call)
         call.as_json = as_json
         if "settings" in parameters:
@@ -103,7 +107,7 @@ def command(name: str, verb: Verb) -> click.Command:
             if key in values and (output := _output(hints[key])) is not None:
                 values[key] = _checked_output(key, output, values)
         picture = _checked_output("picture", PICTURE, values) if verb.draws else values.get("picture")
-        values = {key: value for key, value in values.items() if value is not None and key in given}
+        values = {key: value for key, value in values.items() if value is not None and key in accepted}
         with call.aside:
             if as_json:
                 call.aside.enter_context(prints_on_stderr())
@@ -111,8 +115,8 @@ def command(name: str, verb: Verb) -> click.Command:
                 result = function(**values, **({"progress": progress} if "progress" in parameters else {}))
             if verb.draws and picture is not None:
                 layout.save_figure(render(result), picture)
-            drawn = getattr(result, "picture", picture)
-            show(result, {"picture": drawn} if "picture" in given or verb.draws else {})
+            picture_file = getattr(result, "picture", picture)
+            show(result, {"picture": picture_file} if "picture" in accepted or verb.draws else {})
             if hasattr(result, "serve"):
                 _serve(result)
 
@@ -121,21 +125,31 @@ def command(name: str, verb: Verb) -> click.Command:
 
 
 def described(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
-    """Return the text of a function's docstring before its arguments, and the text of each argument.
+    """Return the parts of a function's docstring that the help of its verb shows.
+
+    They are the text before the arguments, and the text of each argument by name.
 
     Args:
         function: documented function, in Google style.
     """
-    text, _, rest = inspect.cleandoc(function.__doc__ or "").partition("\n\nArgs:\n")
-    arguments = re.split(r"\n\n\w+:", rest)[0]
+    description, _, after_text = inspect.cleandoc(function.__doc__ or "").partition("\n\nArgs:\n")
+    arguments = re.split(r"\n\n\w+:", after_text)[0]
     entries = re.findall(r"^    (\w+): (.*(?:\n     .*)*)", arguments, re.MULTILINE)
-    return text, {name: " ".join(words.split()) for name, words in entries}
+    return description, {name: " ".join(explanation.split()) for name, explanation in entries}
 
 
 def _parameters(
     verb: str, declared: Verb, parameter: inspect.Parameter, hint: Any, help: str
 ) -> Iterator[click.Parameter]:
-    """Yield what the command line offers for a parameter of a function."""
+    """Yield the argument or the options of the command line for a parameter of a function.
+
+    Args:
+        verb: name of the verb.
+        declared: the verb, with the names of options that differ from those of parameters.
+        parameter: parameter of the verb's function.
+        hint: its type, with annotations.
+        help: its text from the docstring of the function.
+    """
     name, output = parameter.name, _output(hint)
     completer = COMPLETERS.get((verb, name)) or COMPLETERS.get(("", name))
     if name == "settings":
@@ -143,11 +157,13 @@ def _parameters(
         return
     kinds = _kinds(hint)
     # A list in one text has a parser.
-    several = name == "over" or (name not in PARSERS and any(get_origin(kind) is Sequence for kind in kinds))
+    takes_several = name == "over" or (name not in PARSERS and any(get_origin(kind) is Sequence for kind in kinds))
     kind = _click_type(name, kinds, output)
     required = parameter.default is inspect.Parameter.empty
     if parameter.kind is inspect.Parameter.POSITIONAL_OR_KEYWORD and name not in declared.names:
-        yield click.Argument([name], nargs=-1 if several else 1, required=required, type=kind, shell_complete=completer)
+        yield click.Argument(
+            [name], nargs=-1 if takes_several else 1, required=required, type=kind, shell_complete=completer
+        )
         return
     names = declared.names.get(name, f"--{name.replace('_', '-')}")
     names = (names,) if isinstance(names, str) else names
@@ -156,10 +172,11 @@ def _parameters(
         names = (f"--no-{name.replace('_', '-')}",)
     elif flag and parameter.default is None:
         names = (f"{names[0]}/--no-{names[0][2:]}",)
-    written = output is not None or name in ALWAYS_OUTPUT
+    concerns_output = output is not None or name in ALWAYS_OUTPUT
     if flag and parameter.default is True:
         help = f"do not {help}"
     help = help[:1].upper() + help[1:]
+    # Click writes defaults in brackets, docstrings in parentheses.
     help = re.sub(r" \((default: [^)]*)\)\.$", r". [\1]", f"{help.removesuffix('.')}.")
     yield Option(
         [*names, name],
@@ -167,30 +184,39 @@ def _parameters(
         # With a value for a flag, click would take -0.07 after an option for another option.
         **({"flag_value": False} if flag and parameter.default is True else {}),
         type=None if flag else kind,
-        multiple=several,
+        multiple=takes_several,
         required=required,
         default=None,
         help=help,
-        group=OUTPUT if written else OPTIONS,
+        group=OUTPUT if concerns_output else OPTIONS,
         shell_complete=completer,
     )
 
 
 def _kinds(hint: Any) -> list[Any]:
-    """Return the alternatives of a type, without None and annotations."""
+    """Return the types that a parameter accepts, without None and annotations, by which its text is read."""
     if get_origin(hint) is Annotated:
         return _kinds(get_args(hint)[0])
     if get_origin(hint) in (Union, UnionType):
-        return [kind for one in get_args(hint) for kind in _kinds(one)]
+        return [kind for alternative in get_args(hint) for kind in _kinds(alternative)]
     return [] if hint in (None, NoneType) else [hint]
 
 
 def _output(hint: Any) -> Output | None:
-    return next((one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Output)), None)
+    """Return the declaration of the file that a parameter of this type names, or None if it names none to write."""
+    return next(
+        (annotation for annotation in getattr(hint, "__metadata__", ()) if isinstance(annotation, Output)), None
+    )
 
 
 def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
-    """Return the type that reads a value of one of several types from text."""
+    """Return the type by which click reads a value from text.
+
+    Args:
+        name: name of the parameter, which may have a parser of its own; "" for an entry of a list.
+        kinds: types of the parameter, of which the first that click can read counts.
+        output: declaration of the file that it names, or None.
+    """
     if name in PARSERS and int not in kinds:
         return PARSERS[name]
     if output is not None:
@@ -199,9 +225,9 @@ def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
         if get_origin(kind) is Sequence:
             return _click_type("", _kinds(get_args(kind)[0]), None)
         if get_origin(kind) is tuple:
-            return tuple(_click_type("", _kinds(one), None) for one in get_args(kind))
+            return tuple(_click_type("", _kinds(entry), None) for entry in get_args(kind))
         if get_origin(kind) is Literal:
-            return click.Choice([one for one in get_args(kind) if isinstance(one, str)])
+            return click.Choice([entry for entry in get_args(kind) if isinstance(entry, str)])
         if kind is Path:
             return click.Path(path_type=Path)
         if kind is Decimal:
@@ -210,7 +236,16 @@ def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
 
 
 def _checked_output(name: str, output: Output, values: Mapping[str, Any]) -> Path | bool | None:
-    """Return a file to write, or True for a free name, after a check of its name."""
+    """Return the file or folder to write, checked before the work begins, True for a free name, or None for no file.
+
+    Args:
+        name: name of the parameter.
+        output: its declaration, with the allowed endings.
+        values: values of all parameters, none of whose files may be overwritten.
+
+    Raises:
+        InputError: the name has another ending, is that of an input, or cannot be written.
+    """
     file: Path | None = values[name]
     if file is None:
         return True if output.free else None
@@ -220,9 +255,9 @@ def _checked_output(name: str, output: Output, values: Mapping[str, Any]) -> Pat
         allowed = " or ".join(output.endings)
         raise InputError(f"{name} = {file}: this writes a {allowed} file; choose a name that ends in {allowed}")
     for key, value in values.items():
-        for one in value if isinstance(value, tuple) else (value,):
-            if key != name and isinstance(one, str | Path) and os.path.isfile(one):
-                checked_other_file(file, one, what=f"the input {one}", option=name)
+        for item in value if isinstance(value, tuple) else (value,):
+            if key != name and isinstance(item, str | Path) and os.path.isfile(item):
+                checked_other_file(file, item, what=f"the input {item}", option=name)
     (checked_folder if output.folder else checked_target)(file)
     return file
 
@@ -240,6 +275,7 @@ class Parser(click.ParamType):
         self.name, self.read, self.form = name, read, form
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the value of a text; a value that is no text any more, such as a default, is returned as it is."""
         if not isinstance(value, str):
             return value
         try:
@@ -249,7 +285,7 @@ class Parser(click.ParamType):
 
 
 def _number(text: str) -> Decimal:
-    """Return the decimal that was typed: 0.2 is one fifth."""
+    """Return the decimal number that was typed, without rounding to binary: 0.2 is exactly one fifth."""
     number = Decimal(text)
     if not (number.is_finite() and math.isfinite(number)):
         raise ValueError(text)
@@ -257,14 +293,16 @@ def _number(text: str) -> Decimal:
 
 
 def _hits(text: str) -> tuple[int, int]:
-    numbers = [int(number) for number in text.split(",")]
-    first, *rest = numbers
-    if len(rest) > 1 or not all(1 <= one <= 9 for one in numbers):
+    """Return the numbers of section crossings of both tubes; one number stands for both, as in "1" for (1, 1)."""
+    crossings = [int(number) for number in text.split(",")]
+    first, *others = crossings
+    if len(others) > 1 or not all(1 <= crossing <= 9 for crossing in crossings):
         raise ValueError(text)
-    return first, rest[0] if rest else first
+    return first, others[0] if others else first
 
 
 def _setting(text: str) -> tuple[str, str]:
+    """Return the path of a setting and the text of its value, from "PATH=VALUE"."""
     name, equals, value = text.partition("=")
     if not (name.strip() and equals and value.strip()):
         raise ValueError(text)
@@ -281,6 +319,7 @@ PARSERS: Mapping[str, click.ParamType] = {
 
 
 def _setting_options() -> Iterator[Option]:
+    """Yield an option for each common setting, and --set for all settings."""
     for path, text in overrides.NAMED.items():
         name = path.rpartition(".")[2]
         yield Option(
@@ -300,24 +339,30 @@ def _setting_options() -> Iterator[Option]:
 
 
 def _settings(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings that are given, by path, and remove them from the values.
+    """Return the settings that the user typed, by path, and remove them from the values of the command line.
 
     The last value of a path counts, so that a remedy can be appended to a command.
+
+    Args:
+        values: values of all parameters; the texts of settings are taken out.
 
     Raises:
         InputError: a setting is given by its option and by its path.
     """
-    named = {path: values.pop(path.rpartition(".")[2]) for path in overrides.NAMED}
-    given = {path: overrides.parsed(path, text) for path, text in named.items() if text is not None}
+    texts = {path: values.pop(path.rpartition(".")[2]) for path in overrides.NAMED}
+    settings = {path: overrides.parsed(path, text) for path, text in texts.items() if text is not None}
     for name, text in values.pop("settings"):
-        if named.get(overrides.resolved(name)) is not None:
+        if texts.get(overrides.resolved(name)) is not None:
             raise InputError(f"--set {name}={text}: {overrides.resolved(name)} is given twice; give it once")
-        given[overrides.resolved(name)] = overrides.parsed(name, text)
-    return given
+        settings[overrides.resolved(name)] = overrides.parsed(name, text)
+    return settings
 
 
 def _over(given: Sequence[tuple[str, str]]) -> dict[str, list[Any]] | None:
-    """Return the values of each setting to vary.
+    """Return the values of each setting that a campaign varies, by path, or None if it varies none.
+
+    Args:
+        given: path and list of values of each option --over, as texts.
 
     Raises:
         InputError: a setting is given twice, or a value is none of it.
@@ -332,7 +377,7 @@ def _over(given: Sequence[tuple[str, str]]) -> dict[str, list[Any]] | None:
 
 
 def _serve(server: Any) -> None:
-    """Serve until the server ends or Ctrl-C."""
+    """Serve until the server ends or the user presses Ctrl-C, which is the normal end of such a verb."""
     # A reader behind a pipe waits for the address.
     sys.stdout.flush()
     with server:

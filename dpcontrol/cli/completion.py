@@ -26,7 +26,7 @@ Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]
 
 
 def completing(values: Values, *, files: bool = False, listed: bool = False) -> Completer:
-    """Return a completer from values.
+    """Return click's completer of a parameter, made from its possible values.
 
     Args:
         values: function that returns the values.
@@ -35,20 +35,21 @@ def completing(values: Values, *, files: bool = False, listed: bool = False) -> 
     """
 
     def complete(context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        before = incomplete[: max(map(incomplete.rfind, ",=")) + 1] if listed else ""
-        found: list[CompletionItem] = []
+        """Return the words that can complete an incomplete one; in a list, the completed entries stay before them."""
+        prefix = incomplete[: max(map(incomplete.rfind, ",=")) + 1] if listed else ""
+        items: list[CompletionItem] = []
         # Unknown names have no values, and messages would garble the command line.
         with suppress(InputError), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            words = (before + value for value in values(context, before))
-            found = [CompletionItem(word) for word in words if word.startswith(incomplete)]
-        return found or ([CompletionItem(incomplete, type="file")] if files else [])
+            words = (prefix + value for value in values(context, prefix))
+            items = [CompletionItem(word) for word in words if word.startswith(incomplete)]
+        return items or ([CompletionItem(incomplete, type="file")] if files else [])
 
     return complete
 
 
 def _system(context: click.Context) -> Any:
-    """Return the system of the model on the command line.
+    """Return the system of the model on the command line, whose saddles and sections can complete a word.
 
     Without a model, it is that of the lab.
     """
@@ -61,6 +62,7 @@ def _system(context: click.Context) -> Any:
 
 
 def _symbols(context: click.Context, _: str) -> Iterable[str]:
+    """Return all symbols of walks between the saddles of the system, such as "down-up +" and "down-up > up-down"."""
     saddles = _system(context).saddles
     return [
         *(f"{saddle} {sense}" for saddle in saddles for sense in "+-"),
@@ -69,11 +71,17 @@ def _symbols(context: click.Context, _: str) -> Iterable[str]:
 
 
 def _named(module: str, name: str) -> Values:
-    """Return the values that a module of the package lists."""
+    """Return a function for `completing` that gives the values which a module of the package lists.
+
+    Args:
+        module: module below the package, imported when a word is completed.
+        name: name of the list in the module.
+    """
     return lambda *_: getattr(StageModule(module), name)
 
 
 def _shipped(kind: str) -> Completer:
+    """Return a completer of the names of models or itineraries (`kind`), or of files."""
     return completing(lambda *_: shipped.shipped_names(kind), files=True)
 
 

@@ -33,19 +33,24 @@ _INSTALLED = (sys.prefix, sys.base_prefix, f"{PACKAGE}{os.sep}")
 
 
 class _Verbs(click.Group):
-    """A group whose commands live in modules that are imported on demand."""
+    """The verbs: a group of commands that are made when they are called, which keeps --help fast."""
 
     def invoke(self, ctx: click.Context) -> Any:
+        """Call a verb, and print its remarks on stderr, each once.
+
+        Warnings of libraries are suppressed without --debug.
+        """
         with warnings.catch_warnings():
-            show_others, shown = warnings.showwarning, set[str]()
+            show_warning, printed = warnings.showwarning, set[str]()
 
             def show(message: Warning | str, category: type[Warning], file: str, *place: Any) -> None:
+                """Print a remark that is new; pass on other warnings if the user can do something about them."""
                 if not issubclass(category, Remark):
                     # Warnings from a user's own law or plant are for the user.
                     if ctx.obj.debug or not file.startswith(_INSTALLED):
-                        show_others(message, category, file, *place)
-                elif str(message) not in shown:
-                    shown.add(str(message))
+                        show_warning(message, category, file, *place)
+                elif str(message) not in printed:
+                    printed.add(str(message))
                     print_message(f"dpcontrol: {message}")
 
             warnings.showwarning = show
@@ -58,6 +63,7 @@ class _Verbs(click.Group):
                 raise click.Abort from error
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments before the verb; note a request for help, and answer --version with --json."""
         if set(args) == {"--version", "--json"}:
             print_json({name: number or None for name, number in versions().items()})
             ctx.exit()
@@ -65,9 +71,11 @@ class _Verbs(click.Group):
         return super().parse_args(ctx, args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the verbs in the order of work."""
         return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return the command of a verb, or None for an unknown name."""
         if cmd_name not in VERBS:
             return None
         from dpcontrol.cli.commands import command
@@ -77,11 +85,13 @@ class _Verbs(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the verb, or suggest the one with the nearest spelling."""
         if args and args[0] not in VERBS and (close := nearest(args[0], VERBS)):
             ctx.fail(f"there is no verb {args[0]!r}; did you mean {close!r}?")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the verbs with their summaries into the help, under the headings of their groups."""
         width = max(map(len, VERBS))
         for heading, verbs in GROUPS.items():
             with formatter.section(heading):
@@ -114,17 +124,17 @@ def cli(ctx: click.Context) -> None:
 
 
 def _defaults() -> dict[str, dict[str, Any]]:
-    """Return the configured defaults of options by verb; apply the colour.
+    """Return the configured defaults of options by verb and option, for click, and set the configured colour.
 
     Raises:
         InputError: a mistake in the configuration.
     """
-    own = {one.name: one.value for one in configured() if one.source != "default"}
-    if own.get("colour", "auto") != "auto":
-        os.environ["FORCE_COLOR" if own["colour"] == "always" else "NO_COLOR"] = "1"
-    everywhere = {name: own[name] for name in ("workers",) if name in own}
-    folder = {"folder": str(log_folder())} if "logs" in own else {}
-    return {verb: everywhere | (folder if verb == "demo" else {}) for verb in VERBS}
+    configured_values = {setting.name: setting.value for setting in configured() if setting.source != "default"}
+    if configured_values.get("colour", "auto") != "auto":
+        os.environ["FORCE_COLOR" if configured_values["colour"] == "always" else "NO_COLOR"] = "1"
+    defaults_of_all = {name: configured_values[name] for name in ("workers",) if name in configured_values}
+    defaults_of_demo = {"folder": str(log_folder())} if "logs" in configured_values else {}
+    return {verb: defaults_of_all | (defaults_of_demo if verb == "demo" else {}) for verb in VERBS}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -135,9 +145,9 @@ def main(arguments: list[str] | None = None) -> None:
     Args:
         arguments: arguments after the program's name; None for those of the process.
     """
-    given: Any = sys.argv[1:] if arguments is None else arguments
+    words: Any = sys.argv[1:] if arguments is None else arguments
     # One option of the program instead of one of each verb, accepted on either side of the verb.
-    debug, given = "--debug" in given, [text for text in given if text != "--debug"]
+    debug, words = "--debug" in words, [text for text in words if text != "--debug"]
     for stream in (sys.stdout, sys.stderr):
         # A terminal without arrows shows question marks instead of an error.
         if isinstance(stream, TextIOWrapper):
@@ -147,13 +157,13 @@ def main(arguments: list[str] | None = None) -> None:
         logging.getLogger("dpcontrol").setLevel(logging.DEBUG)
     call = Call(debug=debug)
     try:
-        for text in given:
+        for text in words:
             if printable(text) != text or "\n" in text:
                 raise InputError(
                     f"{text}: must be one line of UTF-8 without control characters; rename it or use another name"
                 )
         with interrupts():
-            cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
+            cli.main(words, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0
     except click.exceptions.Exit as done:
         code = done.exit_code
@@ -165,32 +175,43 @@ def main(arguments: list[str] | None = None) -> None:
         code = _interrupted(error)
     except Exception as error:  # noqa: BLE001 - the last one: a traceback on a user's terminal is a defect
         # The error may precede the verb, which reads the option.
-        call.as_json |= "--json" in given
-        code = _failed(error, given, call)
+        call.as_json |= "--json" in words
+        code = _failed(error, words, call)
     sys.exit(code)
 
 
 def _interrupted(error: BaseException) -> int:
+    """Report an interrupt on stderr, and return the exit code, 128 plus the number of the signal.
+
+    Args:
+        error: the interrupt, whose notes name files that were kept.
+    """
     number = ended_by()
     forget_interrupts()
-    how = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
-    print_message(f"dpcontrol: {how}; finished results are kept")
+    ending = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
+    print_message(f"dpcontrol: {ending}; finished results are kept")
     _echo_notes(error)
     return 128 + number
 
 
 def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
-    """Print the error as one line, and return the exit code."""
+    """Print the error of a verb as one line for each mistake, and return the exit code.
+
+    Args:
+        error: error that ended the verb.
+        arguments: the command line, for the report of an internal error.
+        call: output options; with --json the error is also a document.
+    """
     if isinstance(error, GoalMissed):
         sentence, code = str(error), 1
     elif isinstance(error, InputError | PartMissing):
         sentence, code = str(error), 2
     elif isinstance(error, click.ClickException):
         context = getattr(error, "ctx", None)
-        more = f"; see `{context.command_path} --help`" if context is not None else ""
+        hint = f"; see `{context.command_path} --help`" if context is not None else ""
         # click lists choices in lines of their own.
         text = " ".join(line.strip() for line in error.format_message().splitlines())
-        sentence, code = f"{concise(text).rstrip('.')}{more}", error.exit_code
+        sentence, code = f"{concise(text).rstrip('.')}{hint}", error.exit_code
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         place = error.filename or f"standard output or in {tempfile.gettempdir()}"
         sentence, code = f"no space left on {place}; free space, redirect the output, or set TMPDIR", 1
@@ -215,20 +236,22 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
 
 
 def _unforeseen(error: Exception, arguments: Sequence[str]) -> str:
-    """Write the traceback of an internal error to a file.
+    """Write the traceback of an internal error to a file, and return the message that asks for a report.
 
-    The returned message asks for a report.
+    Args:
+        error: error that no rule foresees.
+        arguments: the command line, written to the file.
     """
     trace = "".join(traceback.format_exception(error))
     program = f"{PROGRAM}, Python {sys.version}, {sys.platform}"
-    what = f"internal error of dpcontrol, {' '.join(f'{type(error).__name__}: {error}'.split())[:_MOST]}"
+    summary = f"internal error of dpcontrol, {' '.join(f'{type(error).__name__}: {error}'.split())[:_MOST]}"
     try:
         handle, name = tempfile.mkstemp(prefix="dpcontrol-error-", suffix=".txt")
         with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
             file.write(f"{program}\n{shlex.join(arguments)}\n\n{trace}")
     except OSError:
-        return f"{what}; please report it with the output of --debug: its file could not be written"
-    return f"{what}; please report it with the file {name}, which contains the command and the traceback"
+        return f"{summary}; please report it with the output of --debug: its file could not be written"
+    return f"{summary}; please report it with the file {name}, which contains the command and the traceback"
 
 
 _MOST = 200
@@ -236,12 +259,13 @@ _MOST = 200
 
 
 def _echo_notes(error: BaseException) -> None:
-    """Print the notes of an error and of its causes.
+    """Print the notes of an error and of its causes, such as the names of files that were kept.
 
-    Notes are, for example, the files that were kept.
+    Args:
+        error: the last error of a chain.
     """
-    found: BaseException | None = error
-    while found is not None:
-        for note in getattr(found, "__notes__", ()):
+    link: BaseException | None = error
+    while link is not None:
+        for note in getattr(link, "__notes__", ()):
             print_message(f"dpcontrol: {note}")
-        found = found.__cause__ or found.__context__
+        link = link.__cause__ or link.__context__

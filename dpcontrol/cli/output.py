@@ -16,7 +16,14 @@ from dpcontrol.words.table import Line, TextTable
 
 @dataclass
 class Call:
-    """Output options of one call of the program; `aside` is open while the verb works."""
+    """Output options of one call of the program.
+
+    Attributes:
+        as_json: True to print the result as a JSON document.
+        debug: True to print tracebacks and the warnings of libraries.
+        shown: True from when the result is printed.
+        aside: contexts that are open while the verb works, such as the one that keeps stdout clean.
+    """
 
     as_json: bool = False
     debug: bool = False
@@ -57,17 +64,18 @@ def prints_on_stderr() -> Iterator[None]:
     with redirect_stdout(sys.stderr), ExitStack() as stack:
         # Either stream may be closed.
         with suppress(OSError):
-            before = os.dup(1)
-            stack.callback(os.close, before)
+            copy_of_stdout = os.dup(1)
+            stack.callback(os.close, copy_of_stdout)
+            # Compiled code and other processes write to the descriptor directly.
             os.dup2(2, 1)
-            stack.callback(os.dup2, before, 1)
+            stack.callback(os.dup2, copy_of_stdout, 1)
             if sys.__stdout__ is not None:
                 stack.callback(sys.__stdout__.flush)
         yield
 
 
 def print_json(document: Mapping[str, Any]) -> None:
-    """Print the one JSON document of a call.
+    """Print the JSON document of a call, of which each call has one, with control characters escaped.
 
     Args:
         document: nested mappings, lists, arrays and scalars.
@@ -78,7 +86,7 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def print_message(text: str) -> None:
-    """Print a line on stderr, beside the answer.
+    """Print a message as a line on stderr, since stdout is for the result alone.
 
     Args:
         text: one line.
@@ -89,6 +97,7 @@ def print_message(text: str) -> None:
 
 
 def _print(line: Line) -> None:
+    """Print a line of a result: a text, a table, or a page in Markdown."""
     if isinstance(line, str):
         click.echo(printable(line))
         return
@@ -105,11 +114,16 @@ def _print(line: Line) -> None:
 
 
 def _rich_table(shown: TextTable) -> Any:
-    """Return a table for the terminal; brackets in its cells are not markup."""
+    """Return the rich library's table of a table of texts, without a meaning of brackets in its cells.
+
+    Args:
+        shown: table of texts.
+    """
     from rich.table import Table
     from rich.text import Text
 
     def texts(cells: Iterable[str]) -> Iterator[Text]:
+        """Return cells as texts that rich does not read as markup."""
         return (Text(printable(cell)) for cell in cells)
 
     table = Table(title=Text(printable(shown.title)) if shown.title else None, title_justify="left", title_style="bold")

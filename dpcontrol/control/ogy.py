@@ -375,7 +375,7 @@ class OgySession(ClockedSession):
         # Plain floats are faster for one run.
         self._times: Any = law.times.tolist() if count is None else law.times
         self._tick = 0
-        self._lost: tuple[int, float] | None = None
+        self._lost: tuple[Any, Any] | None = None
         prior = np.zeros((0, 0)) if law.learning is None else law.learning.prior
         origin = np.zeros(len(law.first_state))
         first = _Course(
@@ -497,7 +497,12 @@ class OgySession(ClockedSession):
     def _moved_on(self, course: _Course, section: Any, states: Array) -> _Course:
         """Return the course after a section that was not crossed in time, with the clock at the nearest phase.
 
-        `section`: number of the section, stored for the log's event. `states`: state (N,), or states (S, N).
+        The section and the clock's shift are stored for the log's event.
+
+        Args:
+            course: state of the law before the section.
+            section: index of the section that was due, or one for each of S runs.
+            states: present state (N,), or (S, N).
         """
         course, moved = self._nearest(course, states)
         self._lost = section, moved

@@ -767,10 +767,14 @@ class TickEquations:
         )
 
     def _path(self, known: Known, law: _Law, verdict: _Verdict) -> _Path:
-        """Return the command within the drive's limits, its parts, and the acceleration in the coming period.
+        """Return the command, its parts, the cart's acceleration in the coming period, and the memory after the tick.
 
-        During a stop, the command brakes the cart to rest, and the law is ignored. `law`, `verdict`: results of
-        `_by_law` and `_verdict`. `after` of the result is the memory with the command among the pending ones.
+        `wish` is the sum of the law's feedforward and feedback. `command` is limited to the drive's acceleration. The
+        drive limits the velocity, too, which the memory's velocity and `saturated` take into account. During a stop,
+        the command brakes the cart to rest, and the law is ignored. `heading` is the velocity that the cart has once
+        all sent commands have acted, corrected by the estimate with the time constant `_LAGS`. A caller that stores the
+        pending commands itself gives the acceleration in the coming period, `coming`. Otherwise the memory's queue
+        holds them, of which the first acts for `share` of the period and the second for the rest.
         """
         memory, constants, period, n = known.memory, known.numbers, self.filter.period, self.filter.arms
         limit, top_speed, sent, stop = constants.acceleration, constants.velocity, memory.velocity, verdict.stopped > 0

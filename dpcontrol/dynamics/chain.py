@@ -146,7 +146,7 @@ class ArmChainParameters(Settings):
     ] = 0.05
 
     def _check_together(self) -> None:
-        """Check that each arm has its values."""
+        """Raise an InputError unless there are 1 to `MOST_ARMS` arms and each field has one value for each arm."""
         if not self.mass:
             raise InputError("mass = []: a chain has at least one arm", key="mass")
         if self.count > MOST_ARMS:
@@ -166,25 +166,25 @@ class ArmChainParameters(Settings):
 
     @property
     def friction(self) -> tuple[Friction, ...]:
-        """Laws of friction in addition to the viscous one."""
+        """Laws of friction in addition to the viscous one; they select the equations."""
         return tuple(law for law in Friction if getattr(self, law))
 
     def named(self) -> dict[str, tuple[float, str]]:
-        """Return {name: (value, unit)} with the usual short names.
+        """Return {name: (value, unit)} with the usual short names, for tables and for options that name a parameter.
 
         The names are m1, a1, l1, J1, g, k1 …
         """
         units = {name: leaf.bounds.unit.replace("²", "^2") for name, leaf in leaves_of(type(self)).items()}
         letters = {**_INERTIAL, "gravity": "g", **_FRICTION, **({"smoothing": "w"} if self.friction else {})}
-        out: dict[str, tuple[float, str]] = {}
+        named_values: dict[str, tuple[float, str]] = {}
         for field, letter in letters.items():
             value = getattr(self, field)
-            many = enumerate(value, start=1) if isinstance(value, tuple) else [("", value)]
-            out |= {f"{letter}{place}": (one, units[field]) for place, one in many}
-        return out
+            numbered = enumerate(value, start=1) if isinstance(value, tuple) else [("", value)]
+            named_values |= {f"{letter}{number}": (entry, units[field]) for number, entry in numbered}
+        return named_values
 
     def with_value(self, name: str, value: float) -> "ArmChainParameters":
-        """Return the same arms with another value of one parameter.
+        """Return the same arms with another value of one parameter, for searches over a range of it.
 
         Args:
             name: name of the parameter, as in `named`.
@@ -203,7 +203,7 @@ class ArmChainParameters(Settings):
         return replace(self, **{field: tuple(values)})
 
     def base(self) -> Array:
-        """Return the base parameters (n(n+1)/2 + 3n + …,).
+        """Return the base parameters (n(n+1)/2 + 3n + …,), the parameters of the equations of motion.
 
         M row by row for j >= i, then G, S, friction.
 
@@ -213,7 +213,7 @@ class ArmChainParameters(Settings):
         return self._base(lambda name: np.atleast_1d(getattr(self, name)))
 
     def decimal_base(self, decimals: Mapping[str, Sequence[Fraction]] | None = None) -> tuple[Fraction, ...]:
-        """Return the base parameters without rounding.
+        """Return the base parameters without rounding, for searches in 113 bits and for proofs.
 
         Args:
             decimals: exact values of the fields (default: the shortest decimals that read as their doubles).
@@ -221,21 +221,27 @@ class ArmChainParameters(Settings):
         texts = decimals or {}
 
         def numbers(name: str) -> NDArray[Any]:
+            """Return the field's exact values as an array of fractions."""
             shortest = [Fraction(repr(float(v))) for v in np.atleast_1d(getattr(self, name))]
             return np.array(texts.get(name, shortest), dtype=object)
 
         return tuple(Fraction(value) for value in self._base(numbers))
 
     def _base(self, numbers: Callable[[str], NDArray[Any]]) -> Any:
-        """Return the base parameters in the arithmetic of the fields' `numbers`."""
-        m, a, joint, j = map(numbers, _INERTIAL)
+        """Return the base parameters M, G, S and friction in the arithmetic of the fields' `numbers`.
+
+        `numbers` returns the values (n,) of a field by its name, as doubles or as fractions. The formulas of M, G and S
+        are at the head of this module.
+        """
+        m, centre, joint, j = map(numbers, _INERTIAL)
         laws = [*self.friction, *(["smoothing"] if self.friction else [])]
         friction = np.concatenate([numbers(name) for name in ("viscous", *laws)])
         n = self.count
-        beyond = np.array([m[i + 1 :].sum() for i in range(n)])
-        coupling = m * a + beyond * joint
+        # Mass of the arms that each arm carries.
+        carried_mass = np.array([m[i + 1 :].sum() for i in range(n)])
+        coupling = m * centre + carried_mass * joint
         inertia = [
-            j[i] + m[i] * a[i] ** 2 + beyond[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
+            j[i] + m[i] * centre[i] ** 2 + carried_mass[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
             for i in range(n)
             for k in range(i, n)
         ]
@@ -243,9 +249,10 @@ class ArmChainParameters(Settings):
 
     @property
     def coulomb_acceleration(self) -> float:
-        """Largest eigenvalue of M⁻¹ Rᵀ c R with the arms in line.
+        """Largest deceleration of the joints' rates by dry friction, rad/s², with the arms in line.
 
-        Relative rates fade at this over the smoothing.
+        It is the largest eigenvalue of M⁻¹ Rᵀ c R, R the map from the arms' rates to the joints' rates. Divided by the
+        smoothing rate, it is the fastest decay, 1/s, of rates below the smoothing, which a sampled model must resolve.
         """
         if not self.coulomb:
             return 0.0
@@ -257,7 +264,7 @@ class ArmChainParameters(Settings):
 
     @property
     def mass_in_line(self) -> Array:
-        """Mass matrix (n, n) with the arms in line, kg m²."""
+        """Mass matrix (n, n) with the arms in line, kg m², by the arms' rates."""
         n = self.count
         mass = np.zeros((n, n))
         mass[np.triu_indices(n)] = self.base()[: n * (n + 1) // 2]
@@ -265,17 +272,17 @@ class ArmChainParameters(Settings):
 
     @property
     def torques(self) -> Array:
-        """Gravity's largest torque (n,) on each arm and those that it carries, N m."""
+        """Gravity's largest torque (n,) on each arm and those that it carries, N m: the base parameters G."""
         n = self.count
         return self.base()[n * (n + 1) // 2 :][:n]
 
     @property
     def natural_time(self) -> float:
-        """Period of the slowest swing of the hanging arms, s."""
+        """Period of the slowest swing of the hanging arms, s, a unit of time for arms of any size."""
         return float(2 * np.pi * np.sqrt(np.linalg.eigvals(self.mass_in_line / self.torques[:, None]).real.max()))
 
     def with_tip(self, mass: float) -> "ArmChainParameters":
-        """Return the same arms with a small weight at the end of the outermost one.
+        """Return the same arms with a small weight at the end of the outermost one, which can make feedback easier.
 
         Args:
             mass: mass of the weight, kg.
@@ -300,14 +307,14 @@ class ArmChainParameters(Settings):
 
         signs = np.cos(angles)
         weights = signs * self.torques
-        squares, modes = eigh(-np.diag(weights), self.mass_in_line * np.outer(signs, signs))
+        growth_squares, modes = eigh(-np.diag(weights), self.mass_in_line * np.outer(signs, signs))
         coupled = np.abs(weights / self.gravity @ modes) * np.abs(modes).max(axis=0)
-        unstable = squares > 0
+        unstable = growth_squares > 0
         with np.errstate(divide="ignore"):
-            return float((2 * squares[unstable] / coupled[unstable]).max()) if unstable.any() else None
+            return float((2 * growth_squares[unstable] / coupled[unstable]).max()) if unstable.any() else None
 
     def scaled(self, length: float, time: float) -> "ArmChainParameters":
-        """Return arms of another size whose motions are these arms' motions at another pace.
+        """Return arms of another size whose motions are these arms' motions at another pace, with the same masses.
 
         Args:
             length: factor on lengths.
@@ -325,11 +332,11 @@ class ArmChainParameters(Settings):
         return replace(self, gravity=self.gravity * length / time**2, smoothing=self.smoothing / time, **values)
 
     def frictionless(self) -> "ArmChainParameters":
-        """Return the same arms without friction."""
+        """Return the same arms without friction, as for growth rates that friction must not hide."""
         return replace(self, viscous=(0.0,) * self.count, coulomb=(), quadratic=())
 
     def viscous_only(self) -> "ArmChainParameters":
-        """Return the same arms with viscous friction only."""
+        """Return the same arms with viscous friction only, whose base parameters have the fewest entries."""
         return replace(self, coulomb=(), quadratic=())
 
     def planned(self) -> "ArmChainParameters":
@@ -341,7 +348,7 @@ class ArmChainParameters(Settings):
         return replace(self, smoothing=max(self.smoothing, _PLANNED_SMOOTHING))
 
     def with_friction(self, factor: float) -> "ArmChainParameters":
-        """Return the same arms with scaled friction.
+        """Return the same arms with scaled friction, for a plant that differs from its model.
 
         Args:
             factor: factor on every coefficient of friction.
@@ -360,6 +367,7 @@ class ArmChainParameters(Settings):
         """
 
         def vary(values: tuple[float, ...], by: float) -> tuple[float, ...]:
+            """Return the values times independent uniform factors from 1 - by to 1 + by, none below zero."""
             factors = np.maximum(1 + random.uniform(-by, by, len(values)), 0.0)
             return tuple(float(v) for v in np.asarray(values) * factors)
 
@@ -401,7 +409,7 @@ class ChainEnergies(Brief):
 
 @cache
 def chain_energies(count: int, *, friction: tuple[Friction, ...] = ()) -> ChainEnergies:
-    """Return Lagrangian and dissipation of arms on a free cart.
+    """Return Lagrangian and dissipation of arms on a free cart, of which equations of all levels are derived.
 
     The cart has 1 kg.
 
@@ -410,39 +418,41 @@ def chain_energies(count: int, *, friction: tuple[Friction, ...] = ()) -> ChainE
         friction: laws in addition to the viscous one.
     """
     n = count
-    m = ca.SX.sym("M", n * (n + 1) // 2)
-    g = ca.SX.sym("G", n)
-    s = ca.SX.sym("S", n)
-    k = ca.SX.sym("k", n)
+    inertias = ca.SX.sym("M", n * (n + 1) // 2)
+    weights = ca.SX.sym("G", n)
+    couplings = ca.SX.sym("S", n)
+    viscous = ca.SX.sym("k", n)
     laws = {law: ca.SX.sym(law.value, n) for law in Friction if law in friction}
     smoothing = ca.SX.sym("w", 1 if laws else 0)
-    parameters = ca.vertcat(m, g, s, k, *laws.values(), smoothing)
+    parameters = ca.vertcat(inertias, weights, couplings, viscous, *laws.values(), smoothing)
     index = {(i, j): c for c, (i, j) in enumerate((i, j) for i in range(n) for j in range(i, n))}
 
     def lagrangian(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
+        """Return L of the module's head at positions q and velocities v (n+1,), the cart last."""
         kinetic = v[n] ** 2 / 2
         for i in range(n):
-            kinetic += m[index[i, i]] * v[i] ** 2 / 2 + s[i] * ca.cos(q[i]) * v[i] * v[n]
+            kinetic += inertias[index[i, i]] * v[i] ** 2 / 2 + couplings[i] * ca.cos(q[i]) * v[i] * v[n]
             for j in range(i + 1, n):
-                kinetic += m[index[i, j]] * ca.cos(q[i] - q[j]) * v[i] * v[j]
-        return kinetic + sum(g[i] * ca.cos(q[i]) for i in range(n))
+                kinetic += inertias[index[i, j]] * ca.cos(q[i] - q[j]) * v[i] * v[j]
+        return kinetic + sum(weights[i] * ca.cos(q[i]) for i in range(n))
 
     def dissipation(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
+        """Return the dissipation function D of the module's head at positions q and velocities v (n+1,)."""
         relative = [v[i] - v[i - 1] if i else v[0] for i in range(n)]
-        total = sum((k[i] * relative[i] ** 2 / 2 for i in range(n)), ca.SX(0))
+        total = sum((viscous[i] * relative[i] ** 2 / 2 for i in range(n)), ca.SX(0))
         if Friction.COULOMB in laws:
             total += sum(laws[Friction.COULOMB][i] * ca.sqrt(relative[i] ** 2 + smoothing**2) for i in range(n))
         if Friction.QUADRATIC in laws:
             for i in range(n):
                 # M_ji = S_i l_j for the arms within, so this is the velocity of the point at λ_i = M_ii / S_i.
-                along = [m[index[j, i]] / s[i] * v[j] for j in range(i + 1)]
+                along = [inertias[index[j, i]] / couplings[i] * v[j] for j in range(i + 1)]
                 across = sum((along[j] * ca.cos(q[j]) for j in range(i + 1)), v[n])
                 up = sum((along[j] * ca.sin(q[j]) for j in range(i + 1)), ca.SX(0))
-                faded = smoothing * m[index[i, i]] / s[i]
+                faded = smoothing * inertias[index[i, i]] / couplings[i]
                 total += laws[Friction.QUADRATIC][i] * ca.sqrt(across**2 + up**2 + faded**2) ** 3 / 3
         return total
 
-    return ChainEnergies(lagrangian, dissipation, parameters, s)
+    return ChainEnergies(lagrangian, dissipation, parameters, couplings)
 
 
 @cache
@@ -465,6 +475,7 @@ def arm_chain_equations(count: int, level: Level, *, friction: tuple[Friction, .
     equations = state_equations(parts, with_cart=level is Level.CART)
     if Friction.COULOMB not in friction:
         return equations
+    # Linearised equations get a wider smoothing, such that no joint's viscous damping c/w exceeds `MOST_DAMPING`.
     p, first = equations.parameters, count * (count + 1) // 2 + 3 * count
     widths = [p[first + i] / (MOST_DAMPING * scale) for i, scale in enumerate(damping_scales(p, count))]
     return replace(equations, linear_parameters=ca.vertcat(p[:-1], reduce(ca.fmax, widths, p[-1])))
@@ -479,7 +490,7 @@ smoothing, corresponds to amplitudes below those of feedback. At twice this limi
 
 
 def damping_scales(base: Any, count: int) -> list[Any]:
-    """Return √(G_i M_ii) of each joint, N m s/rad.
+    """Return √(G_i M_ii) of each joint, N m s/rad, a natural unit for its damping: with twice it, the arm creeps.
 
     Args:
         base: base parameters, numbers or symbols.
@@ -502,9 +513,7 @@ def equations_of(arms: ArmChainParameters, level: Level) -> Equations:
 
 
 def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
-    """Return the frictionless pendulum on a fixed pivot as a system.
-
-    Its level is conservative.
+    """Return the frictionless pendulum on a fixed pivot as a system, for the search of orbits, tubes and connections.
 
     Saddles are named by the arms' directions, inner arm first. For two arms the sections are those of the paper. The
     turning arm passes straight down: "outer-down", θ₂ = 2πk, about Down-Up and "inner-down", θ₁ = 2πk, about Up-Down.
@@ -553,7 +562,7 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
 
 
 def unit_name(count: int) -> str:
-    """Return the base parameter that divides the others.
+    """Return the name of the base parameter C that divides the others in `base_ratios`.
 
     Args:
         count: number of arms.
@@ -562,9 +571,7 @@ def unit_name(count: int) -> str:
 
 
 def ratio_names(arms: ArmChainParameters) -> tuple[str, ...]:
-    """Return the names of `base_ratios`, in order.
-
-    Names of friction begin with the law.
+    """Return the names of `base_ratios`, in order, such as M11/M12, G1/M12 and viscous_1/M12.
 
     Args:
         arms: arms with their laws of friction.
@@ -576,9 +583,9 @@ def ratio_names(arms: ArmChainParameters) -> tuple[str, ...]:
 
 
 def inertial_count(count: int) -> int:
-    """Return the number of ratios other than friction.
+    """Return the number of ratios other than friction, which come first in `base_ratios`.
 
-    The number is 3n-2 for two arms or more.
+    The number is 3n-2.
 
     Args:
         count: number n of arms.
@@ -587,7 +594,7 @@ def inertial_count(count: int) -> int:
 
 
 def base_ratios(arms: ArmChainParameters) -> Array:
-    """Return the identifiable ratios (m,), in SI units.
+    """Return the identifiable ratios (m,), in SI units, in the order at the head of this module.
 
     Swings on a clamped or driven cart identify them.
 
@@ -595,6 +602,7 @@ def base_ratios(arms: ArmChainParameters) -> Array:
         arms: parameters of the arms.
     """
     n, base = arms.count, arms.base()
+    # Places of M_ii, as M is stored row by row for j >= i.
     diagonal = np.cumsum([0, *range(n, 1, -1)])
     weights = base[n * (n + 1) // 2 :][:n]
     friction = [value for law in ("viscous", *arms.friction) for value in getattr(arms, law)]
@@ -604,14 +612,17 @@ def base_ratios(arms: ArmChainParameters) -> Array:
 
 
 def _unit(base: Array, count: int) -> float:
-    """Return the base parameter that divides the others."""
+    """Return the base parameter C that divides the others in `base_ratios`, kg m²: M_12, or M_11 of a single arm.
+
+    `base` are the base parameters of `count` arms.
+    """
     return float(base[1] if count > 1 else base[0])
 
 
 def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
-    """Return the base parameters with C = 1 as a list.
+    """Return the base parameters with C = 1 as a list, the inverse of `base_ratios`.
 
-    The base parameters are in the arithmetic of the ratios.
+    A fit takes the ratios as unknowns, and these are the parameters of its equations.
 
     Args:
         ratios: ratios (m,) of `base_ratios`, numbers or symbols.
@@ -619,10 +630,10 @@ def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
     """
     n = arms.count
     values = [ratios[k] for k in range(len(ratio_names(arms)))]
-    diagonal, rest = (values[:n], values[n:]) if n > 1 else ([1.0], values)
-    weights, rest = rest[:n], rest[n:]
+    diagonal, remaining = (values[:n], values[n:]) if n > 1 else ([1.0], values)
+    weights, remaining = remaining[:n], remaining[n:]
     coupling = [weight / arms.gravity for weight in weights]
-    lengths, friction = rest[: max(n - 2, 0)], rest[max(n - 2, 0) :]
+    lengths, friction = remaining[: max(n - 2, 0)], remaining[max(n - 2, 0) :]
     if n > 1:
         lengths = [1.0 / coupling[1], *lengths]
     inertia = [diagonal[i] if i == j else coupling[j] * lengths[i] for i in range(n) for j in range(i, n)]
@@ -630,7 +641,7 @@ def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
 
 
 def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters:
-    """Return the nearest arms with given ratios.
+    """Return the arms with given ratios whose masses, centres, lengths and inertias differ least from those of `start`.
 
     Negative friction becomes zero. An inertia of zero stays zero, and gravity and the last length are unchanged.
 
@@ -643,40 +654,47 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
     """
     n, count = start.count, inertial_count(start.count)
     targets = np.asarray(ratios, dtype=float)[:count]
-    columns = {"mass": n, "centre_of_mass": n, "length": n - 1, "inertia": n}
-    first = np.concatenate([np.asarray(getattr(start, name))[:size] for name, size in columns.items()])
-    free = first > 0
+    field_sizes = {"mass": n, "centre_of_mass": n, "length": n - 1, "inertia": n}
+    start_values = np.concatenate([np.asarray(getattr(start, name))[:size] for name, size in field_sizes.items()])
+    free = start_values > 0
 
     def arms_at(logs: Array) -> ArmChainParameters:
-        values = first.copy()
+        """Return the arms whose positive values are those of `start` times exp(logs)."""
+        values = start_values.copy()
         values[free] *= np.exp(logs)
-        parts = dict(zip(columns, np.split(values, np.cumsum(list(columns.values()))[:-1]), strict=True))
+        parts = dict(zip(field_sizes, np.split(values, np.cumsum(list(field_sizes.values()))[:-1]), strict=True))
         fields = {name: tuple(float(v) for v in part) for name, part in parts.items()}
         return replace(start, **fields | {"length": (*fields["length"], start.length[-1])})
 
-    def away(logs: Array) -> Array:
+    def log_errors(logs: Array) -> Array:
+        """Return the logarithms of the inertial ratios over their targets, zero at the solution.
+
+        `logs` are the unknowns of Newton's method, see `arms_at`.
+        """
         return np.log(base_ratios(arms_at(logs))[:count] / targets)
 
-    none = GoalMissed(
+    no_arms_near = GoalMissed(
         f"no arms near the starting model's have the ratios {np.array2string(targets, precision=4)}; start from a "
         f"model nearer to the rig"
     )
     if not np.all(targets > 0) or not np.isfinite(ratios).all():
-        raise none
-    logs, step, close = np.zeros(int(free.sum())), 1e-6, 1e-13
+        raise no_arms_near
+    logs, difference, tolerance = np.zeros(int(free.sum())), 1e-6, 1e-13
     for _ in range(100):
-        error = away(logs)
-        slope: Array = np.array([(away(logs + e) - away(logs - e)) / (2 * step) for e in step * np.eye(len(logs))]).T
+        error = log_errors(logs)
+        slope: Array = np.array(
+            [(log_errors(logs + e) - log_errors(logs - e)) / (2 * difference) for e in difference * np.eye(len(logs))]
+        ).T
         # The least-norm solution of the linearised equations.
-        following: Array = np.linalg.lstsq(slope, slope @ logs - error, rcond=None)[0].astype(np.float64)
-        if not np.isfinite(following).all() or np.abs(following).max() > 5:
-            raise none
-        change = np.abs(following - logs).max()
-        logs = following
-        if change < close or (np.abs(error).max() < close and change < 1e-9):
+        next_logs: Array = np.linalg.lstsq(slope, slope @ logs - error, rcond=None)[0].astype(np.float64)
+        if not np.isfinite(next_logs).all() or np.abs(next_logs).max() > 5:
+            raise no_arms_near
+        change = np.abs(next_logs - logs).max()
+        logs = next_logs
+        if change < tolerance or (np.abs(error).max() < tolerance and change < 1e-9):
             break
-    if np.abs(away(logs)).max() > 1e-10:
-        raise none
+    if np.abs(log_errors(logs)).max() > 1e-10:
+        raise no_arms_near
     arms = arms_at(logs)
     friction = np.maximum(np.asarray(ratios)[count:], 0.0).reshape(-1, n) * _unit(arms.base(), n)
     names = ("viscous", *start.friction)
@@ -684,7 +702,7 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
 
 
 def with_laws(arms: ArmChainParameters, laws: tuple[Friction, ...]) -> ArmChainParameters:
-    """Return the same arms with other laws of friction.
+    """Return the same arms with other laws of friction, as identification tries them.
 
     Args:
         arms: parameters of the arms.
@@ -699,9 +717,11 @@ _TRIES = 20
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Uncertainty of arms.
+    """Uncertainty of arms, as an identification leaves it in the model's file.
 
-    Covariance (f, f) of the f ratios of `dpcontrol.dynamics.chain`, row by row.
+    Attributes:
+        names: names of the f ratios of `base_ratios`.
+        covariance: covariance of these ratios, row by row.
     """
 
     names: tuple[str, ...]
@@ -709,11 +729,11 @@ class Uncertainty:
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """The covariance (f, f)."""
+        """The covariance of the ratios (f, f)."""
         return np.reshape(self.covariance, (len(self.names), len(self.names)))
 
     def check(self, arms: ArmChainParameters) -> None:
-        """Check that this is a covariance of these arms' ratios.
+        """Raise an InputError unless this is a covariance of these arms' ratios.
 
         Args:
             arms: arms with f ratios.
@@ -736,7 +756,7 @@ class Uncertainty:
             )
 
     def drawn(self, arms: ArmChainParameters, random: np.random.Generator, *, scale: float = 1.0) -> ArmChainParameters:
-        """Draw arms from the covariance about given ones.
+        """Draw arms from the covariance about given ones, as the plant of a simulated run.
 
         Negative friction becomes zero. Impossible ratios, such as a negative inertia, are drawn again.
 
@@ -749,11 +769,11 @@ class Uncertainty:
             GoalMissed: all draws are impossible, for example because the uncertainty is as large as its value.
         """
         ratios = base_ratios(arms)
-        sizes, axes = np.linalg.eigh(self.matrix)
+        variances, axes = np.linalg.eigh(self.matrix)
         for _ in range(_TRIES):
-            away = axes @ (np.sqrt(np.maximum(sizes, 0.0)) * random.standard_normal(len(sizes)))
+            deviation = axes @ (np.sqrt(np.maximum(variances, 0.0)) * random.standard_normal(len(variances)))
             try:
-                return nearest_arms(ratios + scale * away, arms)
+                return nearest_arms(ratios + scale * deviation, arms)
             except GoalMissed:
                 continue
         raise GoalMissed(
@@ -806,75 +826,96 @@ _HEAVY = 40.0
 
 
 def _slips(arms: ArmChainParameters, arm: int) -> Iterator[str]:
-    """Yield sentences on parameters that seem to be in another unit."""
-    of = f" of arm {arm + 1}"
+    """Yield sentences on parameters of an arm, by its index, that seem to be in another unit, such as g for kg.
+
+    A sentence is a warning for the user, and the model is used nevertheless.
+    """
+    of_arm = f" of arm {arm + 1}"
     leaves = leaves_of(ArmChainParameters)
     for name in _INERTIAL:
         bounds = leaves[name].bounds
         for sentence in bounds.oddities(name, getattr(arms, name)[arm]):
-            yield sentence.replace(f" {bounds.unit} is ", f" {bounds.unit}{of} is ", 1)
+            yield sentence.replace(f" {bounds.unit} is ", f" {bounds.unit}{of_arm} is ", 1)
     mass, length = arms.mass[arm], arms.length[arm]
     if _HEAVY * length < mass <= _HEAVIEST_ARM:
-        yield f"mass = {mass:g} kg{of} is much for a length of {length:g} m; is it given in g ({1e-3 * mass:.3g} kg)?"
+        yield (
+            f"mass = {mass:g} kg{of_arm} is much for a length of {length:g} m; is it given in g ({1e-3 * mass:.3g} kg)?"
+        )
 
 
 def _body(arms: ArmChainParameters, arm: int) -> Iterator[str]:
+    """Yield sentences on the body of one arm, by its index, that hardly exists.
+
+    Its centre is beyond its end, or its inertia is too large or too small for its mass and length.
+
+    Raises:
+        InputError: so far off that only another unit explains it.
+    """
     mass, centre, length, inertia = (
         getattr(arms, name)[arm] for name in ("mass", "centre_of_mass", "length", "inertia")
     )
-    of = f"of arm {arm + 1}"
+    of_arm = f"of arm {arm + 1}"
     if centre > length * (1 + 1e-9):
-        times = f"{centre / length:.3g} times its length of {length:g} m"
-        text = f"centre_of_mass = {centre:g} m {of} is {times} from its joint"
+        lengths_away = f"{centre / length:.3g} times its length of {length:g} m"
+        text = f"centre_of_mass = {centre:g} m {of_arm} is {lengths_away} from its joint"
         if centre > _BEYOND * length:
             raise InputError(f"{text}; give both in metres, the centre from the arm's joint", key="centre_of_mass")
         yield f"{text}, beyond its end; is that intended?"
     farthest = max(centre, length)
-    outermost = mass * farthest**2
-    if inertia > outermost:
-        away = np.sqrt(inertia / mass)
+    largest_inertia = mass * farthest**2
+    if inertia > largest_inertia:
+        mean_distance = np.sqrt(inertia / mass)
         text = (
-            f"inertia = {inertia:g} kg m² {of} puts its mass of {mass:g} kg {away:.3g} m from its centre in the mean, "
-            f"and the arm is {length:g} m long"
+            f"inertia = {inertia:g} kg m² {of_arm} puts its mass of {mass:g} kg {mean_distance:.3g} m from its centre "
+            f"in the mean, and the arm is {length:g} m long"
         )
-        if inertia > _HEAVIEST * outermost:
-            sizes = {name: factor * inertia for name, factor in OTHER_UNITS["kg m²"].items()}
-            likely = min(sizes, key=lambda name: abs(np.log(sizes[name] / (_LIKELY * outermost))))
-            fits = _HOLLOWEST < sizes[likely] / outermost < 1
+        if inertia > _HEAVIEST * largest_inertia:
+            in_other_units = {name: factor * inertia for name, factor in OTHER_UNITS["kg m²"].items()}
+            likely = min(
+                in_other_units, key=lambda name: abs(np.log(in_other_units[name] / (_LIKELY * largest_inertia)))
+            )
+            is_likely = _HOLLOWEST < in_other_units[likely] / largest_inertia < 1
             remedy = (
-                f"is it given in {likely} ({sizes[likely]:.3g} kg m²)?"
-                if fits
+                f"is it given in {likely} ({in_other_units[likely]:.3g} kg m²)?"
+                if is_likely
                 else "give it in kg m², about the centre of mass"
             )
             raise InputError(f"{text}; {remedy}", key="inertia")
         yield f"{text}; is that intended, about the centre of mass?"
-    largest = mass * centre * (length - centre)
-    if centre < _AT_THE_END * length and inertia < _HOLLOW * largest:
+    between_ends = mass * centre * (length - centre)
+    if centre < _AT_THE_END * length and inertia < _HOLLOW * between_ends:
         yield (
-            f"inertia = {inertia:g} kg m² {of} is that of a point mass {centre:g} m along a weightless rod of "
+            f"inertia = {inertia:g} kg m² {of_arm} is that of a point mass {centre:g} m along a weightless rod of "
             f"{length:g} m, but a uniform rod of {mass:g} kg has {mass * length**2 / 12:.3g} kg m², and with this "
-            f"centre at most {largest:.3g} fits between joint and end; is a point mass intended?"
+            f"centre at most {between_ends:.3g} fits between joint and end; is a point mass intended?"
         )
 
 
 def _friction(arms: ArmChainParameters, arm: int) -> Iterator[str]:
+    """Yield sentences on friction so strong that the arm cannot swing, by the limits at the head of this module.
+
+    `arm` is the index of one arm.
+
+    Raises:
+        InputError: so strong that only another unit explains it.
+    """
     count, base = arms.count, arms.base()
     about_joint = base[np.cumsum([0, *range(count, 1, -1)])[arm]]
     weight, coupling = base[count * (count + 1) // 2 :].reshape(-1)[[arm, count + arm]]
-    reach = about_joint / coupling
+    oscillation_length = about_joint / coupling
     torque = f"gravity's torque on it of at most {weight:.3g} N m"
     laws = {
         "viscous": (2 * np.sqrt(weight * about_joint), "N m s/rad", lambda k: (
             f"makes it creep instead of swing: {torque} turns it at {weight / k:.2g} rad/s at the fastest")),
         "coulomb": (weight, "N m", lambda _: f"holds it at any angle, against {torque}"),
-        "quadratic": (weight / (4 * arms.gravity * reach**2), "N s²/m²", lambda b: (
-            f"brakes it: {torque} moves it at {np.sqrt(weight / (b * reach)):.2g} m/s at the fastest")),
+        "quadratic": (weight / (4 * arms.gravity * oscillation_length**2), "N s²/m²", lambda b: (
+            f"brakes it: {torque} moves it at {np.sqrt(weight / (b * oscillation_length)):.2g} m/s at the fastest")),
     }  # fmt: skip
-    for law, (most, unit, effect) in laws.items():
+    for law, (limit, unit, effect) in laws.items():
         values = getattr(arms, law)
-        if values and values[arm] > most:
+        if values and values[arm] > limit:
             value = values[arm]
             text = f"{law} = {value:g} {unit} of arm {arm + 1} {effect(value)}"
-            if value > _STUCK * most:
+            if value > _STUCK * limit:
                 raise InputError(f"{text}; no bench has this value: give it in {unit}", key=law)
             yield f"{text}; is that intended?"

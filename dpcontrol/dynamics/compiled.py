@@ -53,9 +53,9 @@ _VERSION = "2"
 
 
 def _settle(heyoka: Any) -> None:
-    """Store heyoka's machine code in this program's cache.
+    """Configure heyoka at its first use.
 
-    Its log messages are kept off stdout.
+    Its machine code goes to this program's cache, and its log messages do not reach stdout.
     """
     # heyoka logs to stdout, which would corrupt JSON output.
     heyoka.set_logger_level_critical()
@@ -73,7 +73,7 @@ def _settle(heyoka: Any) -> None:
 
 @cache
 def _operations() -> tuple[dict[int, Any], dict[int, Any]]:
-    """Return heyoka's counterparts of casadi's operations, and of switches.
+    """Return heyoka's counterparts, by casadi's operation codes, of smooth operations and of switches.
 
     Switches have kinks and jumps. They belong to decisions, not to motions, whose Taylor series they would end.
     """
@@ -128,7 +128,7 @@ def interpreted(
     applied: Callable[..., Any],
     zero: Any,
 ) -> list[list[Any]]:
-    """Return the entries of each output in another arithmetic, in column-major order.
+    """Evaluate a casadi function in another arithmetic, such as heyoka's expressions or ball arithmetic.
 
     Args:
         function: casadi function of scalar expressions.
@@ -136,29 +136,32 @@ def interpreted(
         constant: function that converts a number.
         applied: function of one of casadi's operations and its one or two arguments.
         zero: value of structural zeros, which are missing from the instructions.
+
+    Returns:
+        the entries of each output, [i][k], in column-major order.
     """
-    work: dict[int, Any] = {}
-    places = [function.sparsity_out(i).get_triplet() for i in range(function.n_out())]
-    out = [[zero] * function.numel_out(i) for i in range(function.n_out())]
+    memory: dict[int, Any] = {}
+    nonzeros = [function.sparsity_out(i).get_triplet() for i in range(function.n_out())]
+    outputs = [[zero] * function.numel_out(i) for i in range(function.n_out())]
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
-        into, source = function.instruction_output(k), function.instruction_input(k)
+        target, source = function.instruction_output(k), function.instruction_input(k)
         if operation == ca.OP_CONST:
-            work[into[0]] = constant(function.instruction_constant(k))
+            memory[target[0]] = constant(function.instruction_constant(k))
         elif operation == ca.OP_INPUT:
-            work[into[0]] = arguments[source[0]][source[1]]
+            memory[target[0]] = arguments[source[0]][source[1]]
         elif operation == ca.OP_OUTPUT:
-            rows, columns = places[into[0]]
-            out[into[0]][rows[into[1]] + function.size1_out(into[0]) * columns[into[1]]] = work[source[0]]
+            rows, columns = nonzeros[target[0]]
+            outputs[target[0]][rows[target[1]] + function.size1_out(target[0]) * columns[target[1]]] = memory[source[0]]
         else:
-            work[into[0]] = applied(operation, *(work[i] for i in source))
-    return out
+            memory[target[0]] = applied(operation, *(memory[i] for i in source))
+    return outputs
 
 
 def to_heyoka(
     function: ca.Function, arguments: "Sequence[Sequence[hy.expression]]", *, switches: bool = False
 ) -> "list[hy.expression]":
-    """Return the entries of a function's only output.
+    """Return the entries of a function's only output as heyoka's expressions, which its integrators and compiler take.
 
     Args:
         function: casadi function with one output.
@@ -172,6 +175,7 @@ def to_heyoka(
     available = smooth | switching if switches else smooth
 
     def applied(operation: int, *values: Any) -> Any:
+        """Apply heyoka's counterpart of a casadi operation, by its code, to its one or two arguments."""
         if operation not in available:
             raise NotImplementedError(
                 f"casadi operation {operation} in {function.name()} has no heyoka counterpart; add it to "
@@ -189,7 +193,7 @@ def to_heyoka(
 
 
 def check_operations(function: ca.Function) -> None:
-    """Reject a function that cannot be compiled.
+    """Reject a function that cannot be compiled, before a run needs it.
 
     Args:
         function: casadi function of column vectors.
@@ -212,11 +216,11 @@ SINGLE = 2 if _HEYOKA else 1
 
 
 class Compiled:
-    """A casadi function as machine code.
+    """A casadi function as machine code, for the controller's tick and for plants.
 
-    It has dense column vectors as inputs and one dense output.
+    Its inputs are dense column vectors, and it has one dense output.
 
-    All inputs are contiguous in one array; `first(name)` is the index of an input. The function is compiled at its
+    All inputs are contiguous in one array, each at its slice in `slices`. The function is compiled at its
     first call and cannot be shared between threads. Without heyoka, casadi's interpreter replaces it.
     """
 
@@ -242,6 +246,10 @@ class Compiled:
         return self._compiled(SINGLE)
 
     def _compiled(self, width: int) -> Any:
+        """Return machine code that evaluates `width` points per instruction, from the cache or compiled now.
+
+        Without heyoka, it is the call of casadi's interpreter with the same arguments.
+        """
         if not _HEYOKA:
             return _ByCasadi(self.function)
         file = _kept_at(self.function, f"{self.function.name()}-{width}")
@@ -251,7 +259,7 @@ class Compiled:
             with suppress(Exception):
                 return pickle.loads(content)
         variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
-        arguments = [variables[where] for where in self.slices.values()]
+        arguments = [variables[place] for place in self.slices.values()]
         outputs = to_heyoka(self.function, arguments, switches=True)
         machine = hy.cfunc(outputs, variables, batch_size=width, force_avx512=True, **COMPACT)
         if file is not None:
@@ -268,9 +276,7 @@ class Compiled:
 
 
 class _ByCasadi:
-    """A casadi function on casadi's interpreter, without heyoka.
-
-    It has the call of `Compiled.machine`.
+    """A casadi function on casadi's interpreter, without heyoka, with the call of `Compiled.machine`.
 
     It is three times slower for one point and fifty times among hundreds. It rounds a little differently.
     """
@@ -278,44 +284,46 @@ class _ByCasadi:
     def __init__(self, function: ca.Function) -> None:
         symbols = function.sx_in()
         self._function = ca.Function(function.name(), symbols, [ca.densify(function(*symbols))])
+        # Call, inputs and output by the number of points, and the objects on which the calls depend.
         self._made: dict[int, tuple[Any, list[Array], Array]] = {}
         self._alive: list[Any] = []
 
     def _buffers(self, count: int) -> tuple[Any, list[Array], Array]:
-        """Return the evaluation of points between arrays.
+        """Return the call that evaluates `count` points, and the arrays on which it works.
 
-        The arrays (count, size) hold inputs and output.
+        The arrays (count, size) are those of the inputs and that of the output. They are made once for each count.
         """
         if count not in self._made:
             function = self._function.map(count)
             pair: Any = function.buffer()
             buffer, evaluate = pair
             inputs = [np.zeros((count, self._function.size1_in(i))) for i in range(function.n_in())]
-            out = np.zeros((count, self._function.numel_out(0)))
+            output = np.zeros((count, self._function.numel_out(0)))
             for i, array in enumerate(inputs):
                 buffer.set_arg(i, array.data)
-            buffer.set_res(0, out.data)
-            self._made[count] = evaluate, inputs, out
+            buffer.set_res(0, output.data)
+            self._made[count] = evaluate, inputs, output
             # The evaluator does not keep them alive.
             self._alive += [function, buffer]
         return self._made[count]
 
     def __call__(self, inputs: Array, out: Array) -> Array:
+        """Evaluate the function as `Compiled` does: inputs (size_in,) or (size_in, S) into `out`, which is returned."""
         evaluate, arrays, result = self._buffers(1 if inputs.ndim == 1 else inputs.shape[1])
         first = 0
         for array in arrays:
-            following = first + array.shape[1]
-            array[:] = inputs[first:following].T
-            first = following
+            end = first + array.shape[1]
+            array[:] = inputs[first:end].T
+            first = end
         evaluate()
         out[...] = result.T.reshape(out.shape)
         return out
 
 
 def first_use(function: ca.Function, kind: str) -> bool:
-    """True if a kind of code is needed for the first time on this computer.
+    """True if a kind of code is needed for the first time on this computer, so that quick compilation pays.
 
-    This call counts as a use. Where uses cannot be counted, none is the first.
+    This call counts as a use. Where uses cannot be counted, the result is False.
 
     Args:
         function: casadi function of the code.
@@ -329,9 +337,7 @@ def first_use(function: ca.Function, kind: str) -> bool:
 
 
 def _kept_at(function: ca.Function, kind: str) -> Path | None:
-    """Return the cache file of one kind of a function's machine code.
-
-    The result is None if the processor is unknown.
+    """Return the cache file of one kind of a function's machine code, or None if the processor is unknown.
 
     Compiling takes four times as long as reading. The code is specific to this processor and to all compiler versions.
     """
@@ -344,7 +350,7 @@ def _kept_at(function: ca.Function, kind: str) -> Path | None:
 
 @cache
 def _processor() -> str:
-    """Return the processor's features on Linux, empty on other systems."""
+    """Return a text that identifies the processor and its features on Linux, empty on other systems."""
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
         return platform.machine() + "".join(
@@ -354,7 +360,7 @@ def _processor() -> str:
 
 
 def fixed_step(equations: Equations) -> ca.Function:
-    """Return the step over a duration, the inputs held.
+    """Return the plant's step of DOP853 over a duration with constant inputs, as a casadi function.
 
     It maps (state (N,), inputs (m,), duration, parameters (p,)) to the following state (N,). The duration is in s.
 
@@ -370,20 +376,20 @@ def fixed_step(equations: Equations) -> ca.Function:
             return ca.Function.deserialize(content.decode())
     from scipy.integrate import DOP853
 
-    h, zero = ca.SX.sym("h"), ca.SX.zeros(equations.dimension)
+    h, no_shift = ca.SX.sym("h"), ca.SX.zeros(equations.dimension)
     stages: list[ca.SX] = []
-    for row in DOP853.A[: DOP853.n_stages].tolist():
-        shift = sum((a * k for a, k in zip(row, stages, strict=False) if a), zero)
+    for coefficients in DOP853.A[: DOP853.n_stages].tolist():
+        shift = sum((a * k for a, k in zip(coefficients, stages, strict=False) if a), no_shift)
         stages.append(f(x + h * shift, u, p))
-    sloped = sum((b * k for b, k in zip(DOP853.B.tolist(), stages, strict=True) if b), zero)
+    mean_slope = sum((b * k for b, k in zip(DOP853.B.tolist(), stages, strict=True) if b), no_shift)
     names = ["state", "inputs", "duration", "parameters"]
-    step = ca.Function("fixed_step", [x, u, h, p], [ca.cse(ca.densify(x + h * sloped))], names, ["following"])
+    step = ca.Function("fixed_step", [x, u, h, p], [ca.cse(ca.densify(x + h * mean_slope))], names, ["following"])
     keep(file, step.serialize().encode())
     return step
 
 
 def compiled_step(equations: Equations) -> Compiled:
-    """Return `fixed_step` as machine code, for (M,) or (M, S) inputs.
+    """Return `fixed_step` as machine code, for one plant (M,) or many (M, S).
 
     Args:
         equations: equations with N states.

@@ -33,7 +33,13 @@ from dpcontrol.foundation.shown import Brief
 
 
 class Sizes(NamedTuple):
-    """Numbers of a component's states, parameters and modes."""
+    """Numbers of a component's states, parameters and modes, by which its symbols are made.
+
+    Attributes:
+        states: number of own states, which follow the plant's.
+        parameters: number of own parameters.
+        modes: number of own modes, which are chosen at the beginning of a step and are inputs of the plant.
+    """
 
     states: int = 0
     parameters: int = 0
@@ -69,7 +75,7 @@ class ComponentFrame(Brief):
 
 
 class Terms(NamedTuple):
-    """A component's part in the equations of motion.
+    """A component's part in the equations of motion; parts that it does not have are zero.
 
     Attributes:
         lagrangian: kinetic minus potential energy, J.
@@ -108,7 +114,7 @@ class SymbolicPlant:
 
     @classmethod
     def terms(cls, frame: ComponentFrame) -> Terms:
-        """Return the terms in the equations of motion.
+        """Return the component's terms in the equations of motion.
 
         Args:
             frame: symbols of the plant, and the component's own.
@@ -117,7 +123,7 @@ class SymbolicPlant:
 
     @classmethod
     def constrained(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Return the accelerations (N,) in these modes.
+        """Return the plant's accelerations (N,) with the constraints of the frame's modes, such as a joint at rest.
 
         Args:
             frame: symbols of the plant, and the component's own.
@@ -128,7 +134,7 @@ class SymbolicPlant:
 
     @classmethod
     def chosen(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Return the modes in which a step begins.
+        """Return the modes with which a step begins, chosen from state and forces.
 
         Args:
             frame: symbols of the plant, and the component's own.
@@ -139,7 +145,7 @@ class SymbolicPlant:
 
     @classmethod
     def guards(cls, frame: ComponentFrame) -> ca.SX:
-        """Return numbers that are negative once a step has left its modes.
+        """Return numbers that are negative once a step has left its modes, so that the bench splits the step there.
 
         Args:
             frame: symbols at the end of the step.
@@ -148,7 +154,7 @@ class SymbolicPlant:
 
     @classmethod
     def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
-        """Return velocities (n+1,) and own states at the end of a step.
+        """Return velocities (n+1,) and own states, corrected at the end of a step, such as a stopped joint's rate.
 
         Args:
             frame: symbols at the end of the step.
@@ -160,7 +166,7 @@ class SymbolicPlant:
         return tuple(float(value) for entry in fields(self) for value in np.atleast_1d(getattr(self, entry.name)))
 
     def start(self, state: Array) -> Array:
-        """Return the first values of the component's states.
+        """Return the first values of the component's states at the start of a run.
 
         Args:
             state: state (2n+2,) of arms and cart.
@@ -168,7 +174,7 @@ class SymbolicPlant:
         return np.zeros(0)
 
     def reads(self, arms: int) -> dict[int, int]:
-        """Return the component's states that sensors read: {sensor: state}.
+        """Return the component's states that sensors read instead of joints and cart: {sensor: state}.
 
         Sensors 0 … n-1 are joints, n the cart.
 
@@ -210,15 +216,18 @@ class Belt(SymbolicPlant):
 
     @classmethod
     def terms(cls, frame: ComponentFrame) -> Terms:
+        """Return the belt's pull on the cart as an acceleration, and the rates of the motor's position and velocity."""
         x, v, (stiffness, damping) = frame.position[-1], frame.velocity[-1], ca.vertsplit(frame.parameters)
         pull = stiffness * (frame.states[0] - x) + damping * (frame.states[1] - v)
         return Terms(rates=ca.vertcat(frame.states[1], frame.demand), drive=pull)
 
     def numbers(self) -> tuple[float, ...]:
+        """Return the belt's stiffness ω², 1/s², and damping 2 ζ ω, 1/s, over the mass of the cart."""
         omega = 2 * math.pi * self.frequency
         return omega**2, 2 * self.damping * omega
 
     def start(self, state: Array) -> Array:
+        """Return the cart's position and velocity, at which the motor starts with the belt relaxed."""
         return state[-2:].copy()
 
     def reads(self, arms: int) -> dict[int, int]:
@@ -231,7 +240,7 @@ class Belt(SymbolicPlant):
 
 @dataclass(frozen=True)
 class EncoderPlay(SymbolicPlant):
-    """Play between each joint and its encoder.
+    """Play between each joint and its encoder, whose angle is a state of the plant.
 
     An encoder reverses only once the joint has crossed the play.
 
@@ -249,10 +258,12 @@ class EncoderPlay(SymbolicPlant):
 
     @classmethod
     def terms(cls, frame: ComponentFrame) -> Terms:
+        """Return rates of zero for the encoders' angles, which only move at the end of a step."""
         return Terms(rates=ca.SX.zeros(frame.states.shape[0]))
 
     @classmethod
     def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
+        """Return unchanged velocities, and the encoders' angles (n,) moved along by their joints, the play operator."""
         # The play moves with its joint until it is at one of its ends.
         half = frame.parameters / 2
         return frame.velocity, ca.fmin(ca.fmax(frame.states, frame.joints - half), frame.joints + half)
@@ -261,6 +272,7 @@ class EncoderPlay(SymbolicPlant):
         return self.widths
 
     def start(self, state: Array) -> Array:
+        """Return the encoders' first angles (n,), rad: those of the joints plus the offsets."""
         return np.diff(state[: len(self.widths)], prepend=0.0) + self.offsets
 
     def reads(self, arms: int) -> dict[int, int]:
@@ -285,11 +297,13 @@ class Cable(SymbolicPlant):
 
     @classmethod
     def terms(cls, frame: ComponentFrame) -> Terms:
+        """Return the cable's torque T - k θ_1 on the inner arm as a term of the Lagrangian."""
         (torque, stiffness), angle = ca.vertsplit(frame.parameters), frame.position[0]
         return Terms(lagrangian=torque * angle - stiffness * angle**2 / 2)
 
 
 def _sign(values: ca.SX) -> ca.SX:
+    """Return the signs -1, 0 or 1 of values (n,)."""
     return ca.if_else(values > 0, 1, 0) - ca.if_else(values < 0, 1, 0)
 
 
@@ -317,28 +331,39 @@ class Stiction(SymbolicPlant):
 
     @classmethod
     def _solved(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the accelerations (N,) and the holding torques (n,).
+        """Return the accelerations (N,) with these modes, and the torques (n,), N m, that hold the joints at rest.
 
-        These torques hold the joints at rest.
+        A joint with mode 0 keeps its acceleration of zero. A sliding joint is braked by its kinetic torque, and its
+        holding torque is zero. The bench compares holding torques with the break-away torques. `mass` (N, N) and
+        `acceleration` (N,) are the plant's without dry friction.
         """
-        n, size = frame.modes.shape[0], mass.shape[0]
+        joint_count, size = frame.modes.shape[0], mass.shape[0]
         # Rates are `sums` times the joints' rates; a cart that is free is the last of both.
         sums = ca.SX.eye(size)
-        sums[:n, :n] = ca.DM(np.tril(np.ones((n, n))))
+        sums[:joint_count, :joint_count] = ca.DM(np.tril(np.ones((joint_count, joint_count))))
         inertia = sums.T @ mass @ sums
-        push = sums.T @ mass @ acceleration
-        moves = ca.vertcat(frame.modes**2, ca.SX.ones(size - n))
-        push[:n] -= frame.parameters[n:] * frame.modes
-        free = ca.diag(moves) @ inertia @ ca.diag(moves) + ca.diag(1 - moves)
-        joints = solve_symmetric(free, moves * push)
-        return sums @ joints, ((inertia @ joints - push) * (1 - moves))[:n]
+        torques = sums.T @ mass @ acceleration
+        moving = ca.vertcat(frame.modes**2, ca.SX.ones(size - joint_count))
+        torques[:joint_count] -= frame.parameters[joint_count:] * frame.modes
+        # Rows and columns of resting joints become those of the identity, so their accelerations are zero.
+        reduced_inertia = ca.diag(moving) @ inertia @ ca.diag(moving) + ca.diag(1 - moving)
+        joint_accelerations = solve_symmetric(reduced_inertia, moving * torques)
+        return sums @ joint_accelerations, ((inertia @ joint_accelerations - torques) * (1 - moving))[:joint_count]
 
     @classmethod
     def constrained(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+        """Return the accelerations (N,) with joints of mode 0 at rest and the others braked.
+
+        The plant without dry friction has this mass matrix (N, N) and acceleration (N,).
+        """
         return cls._solved(frame, mass, acceleration)[0]
 
     @classmethod
     def chosen(cls, frame: ComponentFrame, mass: ca.SX, acceleration: ca.SX) -> ca.SX:
+        """Return each joint's mode: the sign of its rate, or of its motion after the holding torque was exceeded.
+
+        The plant without dry friction has this mass matrix (N, N) and acceleration (N,).
+        """
         n = frame.modes.shape[0]
         modes = _sign(frame.joint_rates)
         # A joint that breaks away changes the torques on the others: one after the other, the worst first.
@@ -352,10 +377,12 @@ class Stiction(SymbolicPlant):
 
     @classmethod
     def guards(cls, frame: ComponentFrame) -> ca.SX:
+        """Return each joint's rate in the direction of its mode, which is negative once the joint has reversed."""
         return frame.modes * frame.joint_rates
 
     @classmethod
     def settled(cls, frame: ComponentFrame) -> tuple[ca.SX, ca.SX]:
+        """Return the velocities (n+1,) with stopped joints exactly at rest; there are no states."""
         rates: list[ca.SX] = []
         # A joint that sticks, or whose rate left the sign of its mode, turns with the arm before it, to the last bit.
         for k in range(frame.modes.shape[0]):

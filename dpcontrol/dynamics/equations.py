@@ -26,9 +26,9 @@ from dpcontrol.foundation.shown import Brief
 
 @dataclass(frozen=True)
 class Mechanics(Brief):
-    """Equations of motion of a mechanical system.
+    """Equations of motion of a mechanical system, from which the equations of each level are composed.
 
-    All fields but the last two are casadi SX expressions.
+    All fields are casadi SX expressions.
 
     Attributes:
         position, velocity: free coordinates, then m prescribed ones (n + m,).
@@ -37,6 +37,7 @@ class Mechanics(Brief):
         free_acceleration: law of motion (n,).
         momentum: of the free coordinates (n,).
         hamiltonian: of the free coordinates.
+        mass_matrix: of the free coordinates (n, n).
     """
 
     position: ca.SX
@@ -50,7 +51,7 @@ class Mechanics(Brief):
 
 
 def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Solve matrix · x = right by elimination without pivots.
+    """Return x (n,) with matrix · x = right by elimination without pivots, such as accelerations from forces.
 
     The solution is unrolled into the graph. casadi's own symbolic solve uses a QR decomposition with more instructions.
 
@@ -59,28 +60,28 @@ def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
         right: right-hand side (n,).
     """
     n = matrix.shape[0]
-    a = [[matrix[i, j] for j in range(n)] for i in range(n)]
-    b = [right[i] for i in range(n)]
+    entries = [[matrix[i, j] for j in range(n)] for i in range(n)]
+    right_entries = [right[i] for i in range(n)]
     for k in range(n):
         for i in range(k + 1, n):
-            factor = a[k][i] / a[k][k]
+            factor = entries[k][i] / entries[k][k]
             for j in range(i, n):
-                a[i][j] = a[i][j] - factor * a[k][j]
-            b[i] = b[i] - factor * b[k]
-    x: list[ca.SX] = [ca.SX(0)] * n
+                entries[i][j] = entries[i][j] - factor * entries[k][j]
+            right_entries[i] = right_entries[i] - factor * right_entries[k]
+    solution: list[ca.SX] = [ca.SX(0)] * n
     for i in reversed(range(n)):
-        rest = b[i]
+        remainder = right_entries[i]
         for j in range(i + 1, n):
-            rest = rest - a[i][j] * x[j]
-        x[i] = rest / a[i][i]
-    return ca.vertcat(*x)
+            remainder = remainder - entries[i][j] * solution[j]
+        solution[i] = remainder / entries[i][i]
+    return ca.vertcat(*solution)
 
 
 Energy = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
 
 
 def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed: int, parameters: ca.SX) -> Mechanics:
-    """Derive the equations of motion from energies.
+    """Derive the equations of motion from energies, by Lagrange's equations with dissipation.
 
     Args:
         lagrangian: function of (position, velocity, parameters), a scalar.
@@ -102,8 +103,8 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
         - mass[:, free:] @ u
     )
     # The Hamiltonian of the free coordinates, in the rest frame of the prescribed ones.
-    rest = ca.vertcat(v[:free], ca.SX.zeros(prescribed))
-    momentum, still = ca.substitute([all_momenta[:free], energy], [v], [rest])
+    free_velocity = ca.vertcat(v[:free], ca.SX.zeros(prescribed))
+    momentum, energy_at_free_velocity = ca.substitute([all_momenta[:free], energy], [v], [free_velocity])
     return Mechanics(
         position=q,
         velocity=v,
@@ -111,14 +112,14 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
         parameters=parameters,
         free_acceleration=ca.cse(solve_symmetric(mass[:, :free], force)),
         momentum=momentum,
-        hamiltonian=ca.dot(momentum, v[:free]) - still,
+        hamiltonian=ca.dot(momentum, v[:free]) - energy_at_free_velocity,
         mass_matrix=mass[:, :free],
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Equations(Brief):
-    """One level's equations as casadi SX.
+    """One level's first-order equations as casadi SX, from which all numeric and compiled functions are made.
 
     The linear parameters differ for dry friction, whose slope at a point does not represent motions of finite size.
 
@@ -145,21 +146,24 @@ class Equations(Brief):
 
     @property
     def dimension(self) -> int:
-        """Length of the state."""
+        """Length N of the state."""
         return self.state.shape[0]
 
     @property
     def input_count(self) -> int:
-        """Number of inputs (0 without a cart)."""
+        """Number of inputs m (0 without a cart)."""
         return self.inputs.shape[0]
 
     def function(self) -> ca.Function:
-        """Return the casadi function (state, inputs, parameters) -> rate."""
+        """Return the casadi function (state (N,), inputs (m,), parameters (p,)) -> rate (N,)."""
         return ca.Function("rate", [self.state, self.inputs, self.parameters], [self.rate])
 
     @cached_property
     def numeric_functions(self) -> dict[str, ca.Function]:
-        """Functions of (state, parameters) with zero inputs for `NumericEquations`, by name."""
+        """Functions of (state, parameters) with zero inputs for `NumericEquations`, by name.
+
+        Matrices are transposed and flattened, since casadi stores columns and numpy rows.
+        """
         rate = ca.substitute(self.rate, self.inputs, ca.SX.zeros(self.input_count))
         expressions = {
             "rate": rate,
@@ -176,7 +180,7 @@ class Equations(Brief):
         }
 
     def linearised(self, expression: ca.SX, by: ca.SX, parameters: ca.SX) -> ca.SX:
-        """Return the Jacobian of an expression at the linear parameters.
+        """Return the Jacobian of an expression at the linear parameters, for the linear models of laws and filters.
 
         Args:
             expression: expression of symbols.
@@ -190,7 +194,7 @@ class Equations(Brief):
         return ca.substitute(jacobian, parameters, linear)
 
     def linear(self, parameters: Array) -> Array:
-        """Return the parameters (p,) of a linearised step.
+        """Return the values (p,) of the linear parameters, at which a step is linearised.
 
         Args:
             parameters: values (p,).
@@ -201,12 +205,12 @@ class Equations(Brief):
         return np.array(function(parameters)).ravel()
 
     def discrete_step(self, step: float) -> ca.Function:
-        """Return the step over a time, with its derivatives.
+        """Return the sampled step over one control period with its derivatives, as a casadi function.
 
         It maps (state, inputs, parameters) to (next state, ∂next/∂state, ∂next/∂inputs).
 
-        One classical Runge-Kutta step of order 4 with the inputs held; at 1 ms its error is 2e-8 (scaled),
-        far below an encoder count.
+        One classical Runge-Kutta step of order 4 with the inputs held; at 1 ms its error is 2e-8 (scaled), far below an
+        encoder count.
 
         Args:
             step: time, s.
@@ -219,7 +223,7 @@ class Equations(Brief):
 
 
 def runge_kutta_4(slope: Callable[[ca.SX, Any], ca.SX], x: ca.SX, h: Any) -> ca.SX:
-    """Return the next state by the classical step of order 4.
+    """Return the next state (N,) by the classical Runge-Kutta step of order 4, symbolically.
 
     Args:
         slope: function of a state and a time after x.
@@ -245,17 +249,17 @@ def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
     """
     n = parts.free_acceleration.shape[0]
     q, v, u = parts.position, parts.velocity, parts.acceleration
-    bodies = [parts.free_acceleration, parts.hamiltonian, parts.momentum, parts.mass_matrix]
-    state, inputs, rest = ca.vertcat(q[:n], v[:n]), ca.SX.zeros(0), [q[n:], v[n:], u]
+    expressions = [parts.free_acceleration, parts.hamiltonian, parts.momentum, parts.mass_matrix]
+    state, inputs, resting = ca.vertcat(q[:n], v[:n]), ca.SX.zeros(0), [q[n:], v[n:], u]
     if with_cart:
-        state, inputs, rest = ca.vertcat(state, q[n:], v[n:]), u, []
-    acceleration, *extra = ca.substitute(bodies, rest, [ca.SX.zeros(symbol.shape) for symbol in rest])
+        state, inputs, resting = ca.vertcat(state, q[n:], v[n:]), u, []
+    acceleration, *energies = ca.substitute(expressions, resting, [ca.SX.zeros(symbol.shape) for symbol in resting])
     rate = ca.vertcat(v[:n], acceleration, *((v[n:], u) if with_cart else ()))
-    return Equations(state, inputs, parts.parameters, ca.cse(rate), *extra)
+    return Equations(state, inputs, parts.parameters, ca.cse(rate), *energies)
 
 
 def hamiltonian_equations(energy: Energy, *, count: int, parameters: ca.SX) -> Equations:
-    """Return Hamilton's equations of H(q, p, parameters).
+    """Return Hamilton's equations of H(q, p, parameters), for systems that users define by H.
 
     States are (q, p).
 
@@ -274,9 +278,9 @@ def hamiltonian_equations(energy: Energy, *, count: int, parameters: ca.SX) -> E
 
 
 class _Buffered:
-    """A function that is called on preallocated memory.
+    """A casadi function called on preallocated memory, for the many small calls of orbit searches.
 
-    It maps (state, parameters) to one dense output.
+    It maps (state (N,), parameters (p,)) to one dense output (M,). The parameters are fixed numbers.
 
     casadi's argument conversions take forty times as long as the function itself.
     """
@@ -296,12 +300,12 @@ class _Buffered:
 
     def __call__(self, states: Array) -> Array:
         """Return the outputs (K, M) at states (K, N)."""
-        out = np.empty((len(states), len(self._out)))
+        outputs = np.empty((len(states), len(self._out)))
         for k, state in enumerate(states):
             self._state[:] = state
             self._run()
-            out[k] = self._out
-        return out
+            outputs[k] = self._out
+        return outputs
 
 
 @dataclass(frozen=True)
@@ -317,15 +321,17 @@ class NumericEquations(Brief):
 
     @cached_property
     def _functions(self) -> dict[str, _Buffered]:
+        """The functions of `Equations.numeric_functions` with these parameters, by name."""
         functions = self.equations.numeric_functions
         return {name: _Buffered(function, self.parameters) for name, function in functions.items()}
 
     def _call(self, name: str, states: Array, *shape: int) -> Array:
+        """Evaluate the named function at states (…, N) and return its outputs with the shape (…, *shape)."""
         x = np.asarray(states, dtype=float)
         return self._functions[name](x.reshape(-1, x.shape[-1])).reshape(*x.shape[:-1], *shape)
 
     def rate(self, states: Array) -> Array:
-        """Return f(x), shape of `states`.
+        """Return the rates f(x) with the shape of `states`.
 
         Args:
             states: states (…, N).
@@ -333,7 +339,7 @@ class NumericEquations(Brief):
         return self._call("rate", states, -1)
 
     def jacobian(self, states: Array) -> Array:
-        """Return ∂f/∂x, (…, N, N).
+        """Return the Jacobians ∂f/∂x, (…, N, N), for linear stability and Newton's method.
 
         Args:
             states: states (…, N).
@@ -349,7 +355,7 @@ class NumericEquations(Brief):
         return self._call("hamiltonian", states, 1)[..., 0]
 
     def gradient(self, states: Array) -> Array:
-        """Return ∂H/∂x, (…, N).
+        """Return the gradients ∂H/∂x of the energy, (…, N).
 
         Args:
             states: states (…, N).
@@ -365,7 +371,7 @@ class NumericEquations(Brief):
         return self._call("momentum", states, -1)
 
     def momentum_jacobian(self, states: Array) -> Array:
-        """Return ∂p/∂x, (…, n, N).
+        """Return the Jacobians ∂p/∂x of the canonical momenta, (…, n, N).
 
         Args:
             states: states (…, N).

@@ -17,7 +17,7 @@ STEP = 5e-4
 
 
 def mjcf_text(arms: ArmChainParameters, *, name: str, cart_mass: float, lag: float) -> str:
-    """Return arms on a cart as MJCF.
+    """Return arms on a cart as MJCF, the text of a model that MuJoCo simulates.
 
     Args:
         arms: parameters of the arms.
@@ -33,12 +33,13 @@ def mjcf_text(arms: ArmChainParameters, *, name: str, cart_mass: float, lag: flo
             raise InputError(f"mjcf: {key} = {value!r}: must be above 0")
     if arms.quadratic:
         raise InputError("mjcf: quadratic friction has no counterpart in MuJoCo; remove it from the model's file")
-    bodies, dry = "", arms.coulomb or (0.0,) * arms.count
+    bodies, friction = "", arms.coulomb or (0.0,) * arms.count
+    # The outer arms are bodies within the inner ones.
     for k in reversed(range(arms.count)):
-        above, inertia = -arms.length[k - 1] if k else 0.0, f"{max(arms.inertia[k], 1e-12)!r}"
+        height, inertia = -arms.length[k - 1] if k else 0.0, f"{max(arms.inertia[k], 1e-12)!r}"
         bodies = f"""
-<body name="arm_{k + 1}" pos="0 0 {above!r}">
-<joint name="joint_{k + 1}" type="hinge" axis="0 -1 0" damping="{arms.viscous[k]!r}" frictionloss="{dry[k]!r}"/>
+<body name="arm_{k + 1}" pos="0 0 {height!r}">
+<joint name="joint_{k + 1}" type="hinge" axis="0 -1 0" damping="{arms.viscous[k]!r}" frictionloss="{friction[k]!r}"/>
 <inertial pos="0 0 {-arms.centre_of_mass[k]!r}" mass="{arms.mass[k]!r}" diaginertia="{inertia} {inertia} {inertia}"/>
 <geom type="capsule" fromto="0 0 0 0 0 {-arms.length[k]!r}" size="0.006"/>{bodies}
 </body>"""

@@ -45,7 +45,7 @@ Kinds = tuple[type[SymbolicPlant], ...]
 
 
 class PlantLevel(StrEnum):
-    """Response of the cart to a commanded acceleration."""
+    """Response of the cart to a commanded acceleration, see the head of this module."""
 
     CART = "cart"
     DRIVE = "drive"
@@ -54,7 +54,7 @@ class PlantLevel(StrEnum):
 
 @dataclass(frozen=True)
 class PlantParameters(Settings):
-    """The arms with their cart and drive.
+    """The arms with their cart and drive, as a simulated bench has them.
 
     Attributes:
         lag: time constant of the drive's velocity loop, s, 0 for an ideal drive.
@@ -74,7 +74,7 @@ class PlantParameters(Settings):
     components: tuple[SymbolicPlant, ...] = ()
 
     def _check_together(self) -> None:
-        """Check the requirements of a cart with mass or friction."""
+        """Raise an InputError for a cart with mass but without lag, or with friction but without mass."""
         if self.cart_mass > 0 and self.lag == 0:
             raise InputError(
                 f"cart_mass = {self.cart_mass!r} with lag = 0: a cart with mass needs a velocity loop with a time "
@@ -97,39 +97,36 @@ class PlantParameters(Settings):
 
     @property
     def kinds(self) -> Kinds:
-        """The classes of the components."""
+        """The classes of the components, which select the compiled equations."""
         return tuple(type(component) for component in self.components)
 
     @property
     def plain_size(self) -> int:
-        """Length of the state without the components' states."""
+        """Length of the state without the components' states, which follow it."""
         return 2 * self.arms.count + 2 + (self.level is not PlantLevel.CART)
 
     @property
     def places(self) -> list[tuple[SymbolicPlant, int]]:
-        """The components, each with the index of its first state."""
+        """The components, each with the index of its first state in the plant's state."""
         sizes = [component.sizes(self.arms.count).states for component in self.components]
         return [(component, self.plain_size + sum(sizes[:k])) for k, component in enumerate(self.components)]
 
     @property
     def motor(self) -> int:
-        """Index in the state of the driven position.
-
-        The cart, or a component's motor.
-        """
+        """Index in the state of the position that the drive moves: the cart, or a component's motor."""
         return next((place for component, place in self.places if component.motor), 2 * self.arms.count)
 
     @property
     def reads(self) -> dict[int, int]:
-        """Indices of states that replace joints and cart as measured quantities.
+        """Indices in the state of the quantities that sensors read instead of joints and cart: {sensor: index}.
 
-        {sensor: index}.
+        Sensors 0 … n-1 are the joints' encoders, and n is the cart's scale.
         """
         count = self.arms.count
         return {k: place + offset for component, place in self.places for k, offset in component.reads(count).items()}
 
     def own_states(self, state: Array) -> Array:
-        """Return the components' first states.
+        """Return the components' first states, which follow the plain state at the start of a run.
 
         Args:
             state: state (2n+2,) of arms and cart.
@@ -139,9 +136,7 @@ class PlantParameters(Settings):
     def numbers(self) -> Array:
         """Return the parameters (p,) of `equations`.
 
-        Base parameters, b, then τ, then M and k_c where they occur.
-
-        The components' numbers follow.
+        Base parameters, b, then τ, then M and k_c where they occur. The components' numbers follow.
         """
         upright = replace(self.arms, gravity=self.arms.gravity * float(np.cos(self.tilt)))
         further = [self.arms.gravity * np.sin(self.tilt)]
@@ -155,24 +150,32 @@ class PlantParameters(Settings):
 
 @cache
 def _symbols() -> SimpleNamespace:
-    """Return the symbols of all levels.
-
-    U, b, τ, M, k_c and F.
-    """
+    """Return the symbols u (command), b (pull), τ (lag), M (mass), k_c (drag) and F (force), shared by all levels."""
     return SimpleNamespace(**{name: ca.SX.sym(name) for name in ("command", "pull", "lag", "mass", "drag", "force")})
 
 
 @cache
 def _component_frames(count: int, components: Kinds) -> tuple[ComponentFrame, ...]:
-    """Return each component's symbols, in frames without arms and cart."""
-    none, frames = ca.SX(0, 1), []
-    for k, component in enumerate(components):
-        symbols = (ca.SX.sym(f"{component.__name__}_{k}_{c}", size) for c, size in enumerate(component.sizes(count)))
-        frames.append(ComponentFrame(none, none, ca.SX.sym("demand"), *symbols))
+    """Return a frame for each component with the symbols of its states, parameters and modes.
+
+    Arms and cart are missing in these frames; callers put theirs in. The symbols are the same at each call, so that
+    expressions of different functions can be combined. `count` is the number of arms, and `components` are the classes
+    of the components.
+    """
+    no_symbols, frames = ca.SX(0, 1), []
+    for place, component in enumerate(components):
+        symbols = (
+            ca.SX.sym(f"{component.__name__}_{place}_{part}", size) for part, size in enumerate(component.sizes(count))
+        )
+        frames.append(ComponentFrame(no_symbols, no_symbols, ca.SX.sym("demand"), *symbols))
     return tuple(frames)
 
 
 def _terms(q: ca.SX, v: ca.SX, components: Kinds) -> list[Terms]:
+    """Return each component's terms at the positions q and velocities v (n+1,) of arms and cart.
+
+    `components` are the components' classes.
+    """
     frames = _component_frames(q.shape[0] - 1, components)
     return [
         component.terms(replace(frame, position=q, velocity=v))
@@ -182,19 +185,22 @@ def _terms(q: ca.SX, v: ca.SX, components: Kinds) -> list[Terms]:
 
 @cache
 def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool, components: Kinds = ()) -> Mechanics:
-    """Return arms on a tilted track with a cart.
+    """Return the mechanics of arms on a tilted track, their components included.
 
-    The cart is prescribed or free.
+    With `free_cart`, the cart is the last free coordinate, driven by the force F. Otherwise its acceleration is
+    prescribed. `count` is the number of arms, `friction` their laws of friction in addition to the viscous one.
     """
     n, chain, s = count, chain_energies(count, friction=friction), _symbols()
 
     def lagrangian(q: ca.SX, v: ca.SX, p: ca.SX) -> ca.SX:
+        """Return the chain's Lagrangian plus gravity along the track, the components and a free cart's own terms."""
         total = chain.lagrangian(q, v, p) + s.pull * ca.dot(chain.coupling, ca.sin(q[:n]))
         total += sum((term.lagrangian for term in _terms(q, v, components)), ca.SX(0))
         # The chain's Lagrangian includes a cart of 1 kg.
         return total + (s.mass - 1) * v[n] ** 2 / 2 + (s.force + s.mass * s.pull) * q[n] if free_cart else total
 
     def dissipation(q: ca.SX, v: ca.SX, p: ca.SX) -> ca.SX:
+        """Return the chain's dissipation function, plus those of the components and of a free cart's friction."""
         total = chain.dissipation(q, v, p) + (s.drag * v[n] ** 2 / 2 if free_cart else 0)
         return total + sum((term.dissipation for term in _terms(q, v, components)), ca.SX(0))
 
@@ -203,6 +209,10 @@ def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool, compo
 
 
 def _parameters(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds = ()) -> ca.SX:
+    """Return the symbols (p,) of a level's parameters, in the order of `PlantParameters.numbers`.
+
+    `count` is the number of arms, `friction` their laws of friction, and `components` the components' classes.
+    """
     s = _symbols()
     further = {PlantLevel.CART: [s.pull], PlantLevel.DRIVE: [s.pull, s.lag],
                PlantLevel.FORCE: [s.pull, s.lag, s.mass, s.drag]}  # fmt: skip
@@ -211,6 +221,10 @@ def _parameters(count: int, level: PlantLevel, friction: tuple[Friction, ...], c
 
 
 def _state(q: ca.SX, v: ca.SX, demand: ca.SX, level: PlantLevel) -> ca.SX:
+    """Return the plain state of a level: angles, rates, cart position and velocity, then a unless the level is cart.
+
+    q and v (n+1,) are positions and velocities of arms and cart, and `demand` is a.
+    """
     n = q.shape[0] - 1
     cart = ca.vertcat(q[:n], v[:n], q[n], v[n])
     return cart if level is PlantLevel.CART else ca.vertcat(cart, demand)
@@ -218,14 +232,15 @@ def _state(q: ca.SX, v: ca.SX, demand: ca.SX, level: PlantLevel) -> ca.SX:
 
 @dataclass(frozen=True, eq=False)
 class _EquationsOfMotion:
-    """The motion of a plant, symbolically.
+    """The motion of a plant, symbolically, from which its equations, its step and its modes are made.
 
     Attributes:
-        demand: acceleration a of the drive.
+        parts: mechanics of arms and cart.
+        demand: symbol of the acceleration a that the drive's velocity loop demands, m/s².
         frames: frames of the components.
         moving: accelerations of arms and cart (n+1,).
-        drive: acceleration of cart or motor.
-        modes: modes at the beginning of a step.
+        drive: acceleration of the cart or, if a component has a motor, of the motor.
+        modes: modes that the components choose at the beginning of a step.
         rates: derivatives of the components' states.
     """
 
@@ -238,36 +253,47 @@ class _EquationsOfMotion:
     rates: ca.SX
 
     def state(self, velocity: ca.SX, level: PlantLevel, component_states: Sequence[ca.SX]) -> ca.SX:
-        """Return the state with these velocities (n+1,) and components' states."""
+        """Return the plant's state with the components' states, for these velocities (n+1,) of arms and cart."""
         return ca.vertcat(_state(self.parts.position, velocity, self.demand, level), *component_states)
 
 
 @cache
 def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds) -> _EquationsOfMotion:
-    s, free_cart, a = _symbols(), level is PlantLevel.FORCE, ca.SX.sym("a")
+    """Return the motion of arms, cart, drive and components at a level.
+
+    A component with a motor stands between drive and cart and gives the cart its acceleration. `count` is the number of
+    arms, `friction` their laws of friction in addition to the viscous one.
+    """
+    symbols, free_cart, a = _symbols(), level is PlantLevel.FORCE, ca.SX.sym("a")
     parts = _parts(count, friction, free_cart=free_cart, components=components)
-    q, v, demand = parts.position, parts.velocity, s.command if level is PlantLevel.CART else a
+    q, v, demand = parts.position, parts.velocity, symbols.command if level is PlantLevel.CART else a
     frames = tuple(
         replace(component, position=q, velocity=v, demand=demand) for component in _component_frames(count, components)
     )
     terms = [component.terms(frame) for component, frame in zip(components, frames, strict=True)]
-    belts = [term.drive for component, term in zip(components, terms, strict=True) if component.motor]
-    pushed = belts[0] if belts else demand
+    motor_drives = [term.drive for component, term in zip(components, terms, strict=True) if component.motor]
+    driven_acceleration = motor_drives[0] if motor_drives else demand
     if free_cart:
-        moving = ca.substitute(parts.free_acceleration, s.force, s.mass * pushed)
+        moving = ca.substitute(parts.free_acceleration, symbols.force, symbols.mass * driven_acceleration)
     else:
-        pushed = pushed + s.pull if belts else pushed
-        moving = ca.substitute(parts.free_acceleration, parts.acceleration, pushed)
-    modes, before = ca.SX(0, 1), ca.SX(0, 1)
+        driven_acceleration = driven_acceleration + symbols.pull if motor_drives else driven_acceleration
+        moving = ca.substitute(parts.free_acceleration, parts.acceleration, driven_acceleration)
+    modes, earlier_modes = ca.SX(0, 1), ca.SX(0, 1)
     for component, frame in zip(components, frames, strict=True):
-        choice = component.chosen(frame, parts.mass_matrix, moving)
-        modes, before = ca.vertcat(modes, ca.substitute(choice, before, modes)), ca.vertcat(before, frame.modes)
+        chosen_modes = component.chosen(frame, parts.mass_matrix, moving)
+        # A component chooses with the modes that earlier ones have just chosen, not with those of the step before.
+        modes, earlier_modes = (
+            ca.vertcat(modes, ca.substitute(chosen_modes, earlier_modes, modes)),
+            ca.vertcat(earlier_modes, frame.modes),
+        )
         moving = component.constrained(frame, parts.mass_matrix, moving)
     if not free_cart:
-        moving = ca.vertcat(moving, pushed)
+        moving = ca.vertcat(moving, driven_acceleration)
     # The velocity loop belongs to the motor if there is one.
-    driven = demand if belts else moving[count]
-    return _EquationsOfMotion(parts, a, frames, moving, driven, modes, ca.vertcat(*(term.rates for term in terms)))
+    loop_acceleration = demand if motor_drives else moving[count]
+    return _EquationsOfMotion(
+        parts, a, frames, moving, loop_acceleration, modes, ca.vertcat(*(term.rates for term in terms))
+    )
 
 
 @cache
@@ -301,7 +327,7 @@ def plant_equations(
 
 
 def check_component(component: SymbolicPlant, arms: int) -> None:
-    """Reject a user's component whose expressions do not fit so many arms.
+    """Reject a user's component whose expressions do not fit so many arms, before a run uses it.
 
     Args:
         component: the user's component.
@@ -333,7 +359,7 @@ def check_component(component: SymbolicPlant, arms: int) -> None:
 
 @cache
 def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) -> ca.Function:
-    """Return a function for the state after an instantaneous blow.
+    """Return a function for the state after an instantaneous blow to arms or cart.
 
     It maps (state, impulses (n,), jumps (n,), knock, parameters) to the state.
 
@@ -345,7 +371,7 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
         level: cart, drive or force.
         friction: laws in addition to the viscous one.
     """
-    n, s = count, _symbols()
+    n, symbols = count, _symbols()
     parts = _parts(count, friction, free_cart=False)
     q, v = parts.position, parts.velocity
     impulses, jumps, knock, a = ca.SX.sym("p", n), ca.SX.sym("j", n), ca.SX.sym("k"), ca.SX.sym("a")
@@ -357,15 +383,16 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
         changes = solve_symmetric(mass, ca.vertcat(impulses, 0))
     else:
         changes = ca.vertcat(solve_symmetric(parts.mass_matrix, impulses), 0)
+    # The cart's velocity jumps with momentum (level force) and with the knock.
     cart = changes[n] + knock
     rates = v[:n] + changes[:n] + jumps + ca.jacobian(parts.free_acceleration, parts.acceleration) * knock
-    after = ca.vertcat(q[:n], rates, q[n], v[n] + cart)
+    next_state = ca.vertcat(q[:n], rates, q[n], v[n] + cart)
     if level is not PlantLevel.CART:
-        after = ca.vertcat(after, a - cart / s.lag)
+        next_state = ca.vertcat(next_state, a - cart / symbols.lag)
     parameters = _parameters(count, level, friction)
     inputs = [_state(q, v, a, level), impulses, jumps, knock, parameters]
     names = ["state", "impulses", "jumps", "knock", "parameters"]
-    return ca.Function("blow", inputs, [ca.cse(ca.densify(after))], names, ["after"])
+    return ca.Function("blow", inputs, [ca.cse(ca.densify(next_state))], names, ["after"])
 
 
 @cache
@@ -376,7 +403,8 @@ def plant_step(
 
     The code is built once per process.
 
-    With components, the next state is settled by them and followed by their guards.
+    With components, they settle the next state, as stiction stops a joint. Their guards follow it in the output: a
+    negative one tells the simulated bench that a mode ended within the step.
 
     Args:
         count: number n of arms.
@@ -390,9 +418,9 @@ def plant_step(
     motion = _motion(count, level, friction, components)
     velocity, component_states, guards = motion.parts.velocity, [], []
     for component, frame in zip(components, motion.frames, strict=True):
-        current = replace(frame, velocity=velocity)
-        guards.append(component.guards(current))
-        velocity, states = component.settled(current)
+        end_frame = replace(frame, velocity=velocity)
+        guards.append(component.guards(end_frame))
+        velocity, states = component.settled(end_frame)
         component_states.append(states)
     arguments = [equations.state, equations.inputs, equations.parameters]
     settled = ca.Function("settled", arguments, [ca.vertcat(motion.state(velocity, level, component_states), *guards)])
@@ -409,7 +437,7 @@ _INPUTS = ["state", "inputs", "duration", "parameters"]
 def plant_modes(
     count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = (), components: Kinds = ()
 ) -> Compiled | None:
-    """Return the function that chooses the components' modes.
+    """Return the compiled function that chooses the components' modes at the beginning of a step.
 
     Its inputs are those of `plant_step`. None if the components have no modes.
 
@@ -464,13 +492,14 @@ def cart_force(arms: ArmChainParameters, state: Array, acceleration: float, *, m
 
 @cache
 def _arms_rate(count: int, friction: tuple[Friction, ...]) -> ca.Function:
+    """Return the function (state, cart's acceleration, base parameters) -> rate (2n+2,) of arms on a driven cart."""
     return arm_chain_equations(count, Level.CART, friction=friction).function()
 
 
 def after_blow(
     plant: PlantParameters, state: Array, *, impulses: Array | None = None, jumps: Array | None = None, knock: float = 0
 ) -> Array:
-    """Return the state (N,) after a blow.
+    """Return the state (N,) of a plant after a blow that a simulated bench gives to arms or cart.
 
     Args:
         plant: parameters of the plant.
@@ -481,12 +510,12 @@ def after_blow(
     """
     n, size = plant.arms.count, plant.plain_size
     function = blow(n, plant.level, friction=plant.arms.friction)
-    none, numbers = np.zeros(n), plant.numbers()
-    plain = numbers[: len(numbers) - sum(len(component.numbers()) for component in plant.components)]
-    out = function(state[:size], none if impulses is None else impulses, none if jumps is None else jumps, knock,
-                   plain)  # fmt: skip
-    after = np.concatenate([np.asarray(out, dtype=float).ravel(), state[size:]])
+    no_change, numbers = np.zeros(n), plant.numbers()
+    plain_numbers = numbers[: len(numbers) - sum(len(component.numbers()) for component in plant.components)]
+    plain_after = function(state[:size], no_change if impulses is None else impulses,
+                           no_change if jumps is None else jumps, knock, plain_numbers)  # fmt: skip
+    next_state = np.concatenate([np.asarray(plain_after, dtype=float).ravel(), state[size:]])
     if plant.motor >= size:
         # The motor's loop does not react to blows on the cart.
-        after[2 * n + 2 : size] = state[2 * n + 2 : size]
-    return after
+        next_state[2 * n + 2 : size] = state[2 * n + 2 : size]
+    return next_state

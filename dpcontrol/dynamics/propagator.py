@@ -39,9 +39,9 @@ Row = Sequence[float] | Array
 
 @dataclass(frozen=True)
 class Section:
-    """A Poincaré section n·x = offset with coordinates on it.
+    """A Poincaré section n·x = offset with coordinates on it, where trajectories, tubes and connections are compared.
 
-    For an angle, it is n·x = offset + period · k.
+    For an angle, it is n·x = offset + period · k with every integer k: parallel planes, here called sheets.
 
     Attributes:
         normal: n (N,).
@@ -71,10 +71,10 @@ class Section:
             offset: in the coordinates' unit.
             period: distance of the sheets offset + period · k of an angle; None on a line.
         """
-        row, along = _plane_rows(normal)
+        coordinate_row, along = _plane_rows(normal)
         if period is not None and not number("period", period) > 0:
             raise InputError(f"period = {period:g} of the section {name}: must be positive, or None on a line")
-        return cls(name, (*row, 0.0, 0.0), (*along, 0.0, 0.0), along, number("offset", offset), period)
+        return cls(name, (*coordinate_row, 0.0, 0.0), (*along, 0.0, 0.0), along, number("offset", offset), period)
 
     @classmethod
     def turning(cls, name: str, direction: Row) -> "Section":
@@ -86,8 +86,8 @@ class Section:
             name: name of the section.
             direction: row (2,) of v.
         """
-        row, along = _plane_rows(direction)
-        return cls(name, (0.0, 0.0, *row), (*along, 0.0, 0.0), along)
+        rate_row, along = _plane_rows(direction)
+        return cls(name, (0.0, 0.0, *rate_row), (*along, 0.0, 0.0), along)
 
     def where(self, side: Row, *, middle: float = 0.0, reach: float | None = None) -> "Section":
         """Return the part of the section on one side.
@@ -99,11 +99,11 @@ class Section:
             middle: value of side · q at the border, or between the two parts.
             reach: distance from `middle`; None for one side.
         """
-        row = (*(float(value) for value in side), 0.0, 0.0)
-        return replace(self, side=row, middle=middle, reach=reach)
+        side_row = (*(float(value) for value in side), 0.0, 0.0)
+        return replace(self, side=side_row, middle=middle, reach=reach)
 
     def height(self, states: Array) -> Array:
-        """Return n·x - offset (…).
+        """Return the signed distance n·x - offset (…) of states from the section, in the unit of n·x.
 
         The value is zero, or a multiple of the period, on the section.
 
@@ -113,9 +113,9 @@ class Section:
         return np.asarray(states) @ np.asarray(self.normal) - self.offset
 
     def level(self, state: Array) -> float:
-        """Return n·x on the section.
+        """Return the value of n·x on the section, which is a condition for the state of a refined crossing.
 
-        For an angle, it is that of the nearest sheet.
+        For an angle, it is the value on the sheet nearest to the state.
 
         Args:
             state: state (N,).
@@ -125,9 +125,9 @@ class Section:
         return self.offset + float(np.rint(self.height(state) / self.period)) * self.period
 
     def sheets(self, states: Array) -> Array:
-        """Return the number of the sheet below each state (…).
+        """Return the number of the sheet below each state (…); it changes where a trajectory crosses the section.
 
-        It changes at crossings.
+        Without a period it is 1 above the section and 0 elsewhere.
 
         Args:
             states: states (…, N).
@@ -136,9 +136,10 @@ class Section:
         return (heights > 0).astype(float) if self.period is None else np.floor(heights / self.period)
 
     def sense(self, rate: Array) -> int:
-        """Return the sign of a crossing.
+        """Return the sign, 1 or -1, of a crossing, which tells forward from backward crossings of one section.
 
-        It is the sign of n·ẋ, or at a turning point that of the side left for it.
+        It is the sign of n·ẋ. A normal with entries for rates only defines turning points: the trajectory turns back,
+        so the sign is that of n·v just before the turn.
 
         Args:
             rate: rate ẋ (N,) at the crossing.
@@ -147,7 +148,7 @@ class Section:
         return int(np.sign(np.dot(self.normal, rate))) * (1 if any(positions) else -1)
 
     def mark(self, state: Array) -> str:
-        """Return "+" or "-" for the side of a state.
+        """Return "+" or "-" for the side of a state, which the names of connections contain.
 
         The result is "" if the section does not have two sides.
 
@@ -159,20 +160,21 @@ class Section:
         return ""
 
     def admits(self, state: Array) -> bool:
-        """True if a crossing at `state` (N,) counts.
+        """True if a crossing at `state` (N,) satisfies the section's condition on the side, so that it counts.
 
         Args:
             state: state (N,) at a crossing.
         """
         if self.side is None:
             return True
-        beyond = float(np.dot(self.side, state)) - self.middle
-        return beyond > 0 if self.reach is None else abs(beyond) > self.reach
+        distance = float(np.dot(self.side, state)) - self.middle
+        return distance > 0 if self.reach is None else abs(distance) > self.reach
 
     def kept_by(self, reverser: Array, centre: Array) -> bool:
         """True if a reverser maps the section onto itself.
 
-        The section's side must also map onto itself.
+        The stable tube's cut by such a section mirrors that of the unstable tube. The section's side must also map onto
+        itself.
 
         Args:
             reverser: matrix (N, N).
@@ -180,35 +182,41 @@ class Section:
         """
         shift = centre - reverser @ centre
 
-        def kept(row: tuple[float, ...], level: float, period: float | None, signs: tuple[float, ...]) -> bool:
+        def maps_onto_itself(
+            row: tuple[float, ...], level: float, period: float | None, signs: tuple[float, ...]
+        ) -> bool:
+            """True if the reverser maps the planes row · x = level + period · k onto themselves.
+
+            It may turn the row into its negative only if `signs` contain -1.
+            """
             for sign in signs:
                 if np.allclose(np.asarray(row) @ reverser, sign * np.asarray(row)):
                     distance = (sign - 1) * level + float(np.dot(row, shift))
                     return abs(distance - (np.rint(distance / period) * period if period else 0.0)) < 1e-9
             return False
 
-        both = (1.0, -1.0)
-        return kept(self.normal, self.offset, self.period, both) and (
-            self.side is None or kept(self.side, self.middle, None, both if self.reach is not None else both[:1])
+        either_sign = (1.0, -1.0)
+        return maps_onto_itself(self.normal, self.offset, self.period, either_sign) and (
+            self.side is None
+            or maps_onto_itself(
+                self.side, self.middle, None, either_sign if self.reach is not None else either_sign[:1]
+            )
         )
 
 
 @dataclass(frozen=True)
 class Crossing(Brief):
-    """Crossing of a section by a trajectory: state (N,), time, s.
-
-    None means that there is no crossing.
-    """
+    """Crossing of a section by a trajectory: state (N,), time, s, from the trajectory's start."""
 
     state: Array
     time: float
 
 
 def _plane_rows(normal: Row) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return a row of two coordinates and the row across it.
+    """Return a plane section's normal (2,) in the two coordinates, and the direction (2,) along the section.
 
-    The largest entry of the second one is positive, so that normals of either sign give the same side. Adding 0.0
-    turns -0.0 into 0.0.
+    The largest entry of the direction is positive, so that normals of either sign give the same side. Adding 0.0 turns
+    -0.0 into 0.0.
     """
     first, second = numbers("normal", tuple(normal), 2)
     if not (first or second):
@@ -278,7 +286,7 @@ INTERVAL_STEPS = 2_000
 
 
 class CrossingFinder:
-    """Propagates trajectories of one set of equations to sections.
+    """Propagates trajectories of one set of equations to sections, eight at once in the lanes of vector instructions.
 
     It is compiled when made and cannot be shared between threads.
 
@@ -294,10 +302,17 @@ class CrossingFinder:
     def __init__(self, equations: Equations, parameters: Array) -> None:
         self.equations, self.parameters = equations, parameters
         n, first = equations.dimension, len(parameters)
+        # Places among the integrator's parameters, see `_made`.
         self._normal, self._events = slice(first, first + n), slice(first + n, first + n + 4)
+        # The code of which this finder has a copy; it changes once optimised code is made.
         self._original: Any = None
 
     def _made(self, level: int) -> Any:
+        """Compile the integrator of `LANES` trajectories that stops a lane at the sheet below or above its trajectory.
+
+        Its parameters are the p parameters of the equations, the section's normal (N,), then for each lane the gains of
+        the two sheets (1 for on, 0 for off) and their levels. `level` is heyoka's optimisation, 0 or 1.
+        """
         system, gain = _at_rest(self.equations), self._events.start
         height = sum((hy.par[self._normal.start + i] * x for i, (x, _) in enumerate(system)), hy.expression(0.0))
         # heyoka isolates the roots of each step's Taylor polynomial, so a double crossing within one step is detected.
@@ -310,6 +325,8 @@ class CrossingFinder:
 
     @cached_property
     def _rate(self) -> Any:
+        """The compiled rates f(x), for the check of starts and the direction in which a section is crossed."""
+
         def made(_: int) -> Any:
             variables, rates = zip(*_at_rest(self.equations), strict=True)
             return hy.cfunc(rates, vars=variables, **QUICK)
@@ -317,13 +334,16 @@ class CrossingFinder:
         return copy(_original(self.equations, "rates", made))
 
     def _rates(self, states: Array) -> Array:
-        """Return the rates (N, K) at states (K, N)."""
+        """Return the rates f(x) (N, K) at states (K, N)."""
         # Parameters that the equations never use are not part of the compiled code.
         used = self.parameters[: self._rate.nparams, None]
         return self._rate(np.ascontiguousarray(states.T), pars=np.repeat(used, len(states), axis=1))
 
     def find(self, states: Array, section: Section, *, longest: float, hit: int) -> tuple[Array, Array]:
         """Return each state's crossing of a section (K, N) and its time (K,), s, or NaN and infinity.
+
+        The eight lanes of the integrator work through the list of states: a lane whose trajectory has ended takes the
+        next state from the list.
 
         Args:
             states: states (K, N).
@@ -341,51 +361,54 @@ class CrossingFinder:
         levels, limits = self._levels(starts, section), np.append(np.full(len(states), longest), 0.0)
         state, events = integrator.state, integrator.pars[self._events]
         clock, halves = integrator.time, integrator.dtime
-        still = {int(hy.taylor_outcome.success), int(hy.taylor_outcome.step_limit)}
-        flying, ends = [-1] * LANES, np.zeros(LANES)
-        admitted, steps_done, paced, marks = [0] * LANES, [0] * LANES, [0] * LANES, [0.0] * LANES
+        running_outcomes = {int(hy.taylor_outcome.success), int(hy.taylor_outcome.step_limit)}
+        flights, end_times = [-1] * LANES, np.zeros(LANES)
+        hits, steps_done, unpaced_steps, mark_times = [0] * LANES, [0] * LANES, [0] * LANES, [0.0] * LANES
         free = list(range(LANES))
         while True:
             # Clocks run in twice the precision; setting the leading half alone would touch the companions' last digits.
-            leading, trailing = halves[0].copy(), halves[1].copy()
+            clock_leading, clock_trailing = halves[0].copy(), halves[1].copy()
             for lane in free:
-                flying[lane] = k = waiting.pop() if waiting else -1
-                state[:, lane], events[:, lane], ends[lane] = starts[k], levels[k], limits[k]
-                leading[lane] = trailing[lane] = marks[lane] = 0.0
-                admitted[lane] = steps_done[lane] = paced[lane] = 0
+                flights[lane] = k = waiting.pop() if waiting else -1
+                state[:, lane], events[:, lane], end_times[lane] = starts[k], levels[k], limits[k]
+                clock_leading[lane] = clock_trailing[lane] = mark_times[lane] = 0.0
+                hits[lane] = steps_done[lane] = unpaced_steps[lane] = 0
                 integrator.reset_cooldowns(lane)
-            if max(flying) < 0:
+            if max(flights) < 0:
                 return crossed, times
             if free:
-                integrator.set_dtime(leading, trailing)
-            integrator.propagate_until(ends, max_steps=_PACE)
+                integrator.set_dtime(clock_leading, clock_trailing)
+            integrator.propagate_until(end_times, max_steps=_PACE)
             free = []
             for lane, (outcome, _, _, steps) in enumerate(integrator.propagate_res):
-                if (k := flying[lane]) < 0:
+                if (k := flights[lane]) < 0:
                     continue
                 steps_done[lane] += steps
-                paced[lane] += steps
-                going = steps_done[lane] < _MOST_STEPS
-                if paced[lane] >= _PACE:
+                unpaced_steps[lane] += steps
+                may_continue = steps_done[lane] < _MOST_STEPS
+                if unpaced_steps[lane] >= _PACE:
                     time = float(clock[lane])
-                    going &= abs(time - marks[lane]) * _MOST_PACES > min(abs(longest - time), abs(time))
-                    paced[lane], marks[lane] = 0, time
+                    may_continue &= abs(time - mark_times[lane]) * _MOST_PACES > min(abs(longest - time), abs(time))
+                    unpaced_steps[lane], mark_times[lane] = 0, time
                 code = int(outcome)
-                if going and code in still:
+                if may_continue and code in running_outcomes:
                     continue
                 # A stopping terminal event reports -1 - its index. Any other outcome ends the flight.
                 if code in (-1, -2):
-                    admitted[lane] += section.admits(state[:, lane])
-                    if admitted[lane] >= hit:
+                    hits[lane] += section.admits(state[:, lane])
+                    if hits[lane] >= hit:
                         crossed[k], times[k] = state[:, lane], clock[lane]
-                    elif going:
+                    elif may_continue:
                         steps_done[lane] = 0
                         self._pass(lane, -1 - code, section, np.sign(longest))
                         continue
                 free.append(lane)
 
     def _prepared(self, section: Section, work: int) -> Any:
-        """Return the integrator for this many flights, at time zero and with the section's normal."""
+        """Return the integrator of sections with this section's normal in all lanes, its clocks at zero.
+
+        `work` is the number of trajectories that follow, which decides whether the code is optimised first.
+        """
         original = _original(self.equations, "crossings", self._made, work=work)
         if original is not self._original:
             self._original, self._integrator = original, copy(original)
@@ -397,9 +420,7 @@ class CrossingFinder:
         return integrator
 
     def _fit_to_fly(self, states: Array) -> list[int]:
-        """Return the numbers, last first, of the finite states.
-
-        States (K, N) must be finite and have finite rates.
+        """Return the indices, last first, of the states (K, N) that can be propagated: those finite with finite rates.
 
         Other states would corrupt their lane's clock, which heyoka cannot restart.
         """
@@ -407,7 +428,12 @@ class CrossingFinder:
         return np.flatnonzero((np.isfinite(states) & np.isfinite(rates)).all(axis=1))[::-1].tolist()
 
     def _levels(self, states: Array, section: Section) -> Array:
-        """Return gains and levels (K, 4) of the sheets below and above each state, the last one without sheets."""
+        """Return the sheets that each state (K, N) may cross first, in the order of the integrator's parameters.
+
+        The columns (K, 4) are the gains of the sheets below and above, then their levels n·x. A section without period
+        has one sheet only. The last row belongs to a lane that rests, and has no sheets. The levels are run-time values
+        of a lane.
+        """
         levels = np.tile([1.0, 0.0, section.offset, 1.0], (len(states), 1))
         if section.period is not None:
             levels[:, 2] += section.period * np.floor(section.height(states) / section.period)
@@ -416,13 +442,11 @@ class CrossingFinder:
         return levels
 
     def _pass(self, lane: int, sheet: int, section: Section, sense: float) -> None:
-        """Continue a lane through a sheet, forward (`sense` 1) or backward (-1) in time.
+        """Let a lane continue through a sheet whose crossing did not count.
 
-        A periodic section is two parallel sheets, one period apart, whose levels are parameters of the lane.
-
-        The lane's other sheet moves beyond it.
-
-        The crossed sheet stays, since heyoka ignores it until the trajectory has left it.
+        Time runs forward (`sense` 1) or backward (-1). A periodic section is two parallel sheets, one period apart,
+        whose levels are parameters of the lane. The crossed one (`sheet` 0 or 1) stays, since heyoka ignores it until
+        the trajectory has left it. The other one moves to the next level in the direction of motion.
         """
         if section.period is None:
             return
@@ -434,7 +458,7 @@ class CrossingFinder:
 
 
 def taylor_system(equations: Equations, inputs: list[Any], first: int = 0) -> list[tuple[Any, Any]]:
-    """Return the equations as (variable, rate) pairs for heyoka.
+    """Return the equations as (variable, rate) pairs, of which heyoka compiles its Taylor integrators.
 
     Args:
         equations: equations with N states and p parameters.
@@ -447,14 +471,14 @@ def taylor_system(equations: Equations, inputs: list[Any], first: int = 0) -> li
 
 
 def _at_rest(equations: Equations) -> list[tuple[Any, Any]]:
-    """Return (variable, rate) pairs with the inputs at zero."""
+    """Return the (variable, rate) pairs of heyoka with the inputs at zero, as for the search of orbits."""
     return taylor_system(equations, [hy.expression(0.0)] * equations.input_count)
 
 
 def _with_tangents(equations: Equations) -> list[tuple[Any, Any]]:
-    """Return the pairs with a tangent beside each state.
+    """Return the (variable, rate) pairs of the states (N,) and of one tangent vector (N,).
 
-    The tangent's rate is v' = Df(x) v: half the work of a state-transition matrix.
+    The flow carries the tangent along. Its rate is v' = Df(x) v: half the work of a state-transition matrix.
     """
     pairs = _at_rest(equations)
     tangent = hy.make_vars(*[f"v{i}" for i in range(len(pairs))])
@@ -463,11 +487,11 @@ def _with_tangents(equations: Equations) -> list[tuple[Any, Any]]:
 
 
 def check_arrival(integrator: Any, outcome: Any) -> None:
-    """Raise ArithmeticError if a propagation ended early.
+    """Raise ArithmeticError if a propagation ended before its time, as close to a singularity.
 
     Args:
         integrator: integrator after the propagation.
-        outcome: its outcome.
+        outcome: its outcome, a `hy.taylor_outcome`.
     """
     if outcome != hy.taylor_outcome.time_limit:
         raise ArithmeticError(f"propagation stopped at t = {float(integrator.time):g} s: {outcome}")
@@ -488,46 +512,50 @@ class Propagator:
         self.equations = equations
         self.parameters = np.asarray(parameters, dtype=float)
         self.tolerance = tolerance
+        # The code and this propagator's copy of it, by the kind of states.
         self._compiled: dict[Hashable, tuple[Any, Any]] = {}
 
     @cached_property
     def _finder(self) -> CrossingFinder:
+        """The search of crossings, compiled when first needed."""
         return CrossingFinder(self.equations, self.parameters)
 
     def _at_zero(self, states: Array, *, stm: bool) -> Any:
-        """Return an integrator at time zero and at given states.
+        """Return the integrator for this kind of states, set to time zero and to these states.
 
-        The state is (N,), or (N, LANES) with one for each lane.
-
-        States (2 N,) and (2 N, LANES) have their tangents beside them.
+        States are (N,) for a single trajectory, or (N, LANES) with one column for each lane. With (2 N,) or (2 N,
+        LANES), the second half are tangents, which the flow carries along. With `stm`, the state-transition matrix,
+        first the identity, follows the states in the integrator's state.
         """
-        many, plain = states.ndim == 2, not stm and len(states) == self.equations.dimension
-        kind = (stm, len(states), many, self.tolerance)
+        in_lanes, states_only = states.ndim == 2, not stm and len(states) == self.equations.dimension
+        kind = (stm, len(states), in_lanes, self.tolerance)
 
-        def made(level: int) -> Any:
+        def compiled(level: int) -> Any:
+            """Compile the integrator of this kind with heyoka's `opt_level`, 0 or 1."""
             system = (_at_rest if len(states) == self.equations.dimension else _with_tangents)(self.equations)
             system = hy.var_ode_sys(system, args=hy.var_args.vars, order=1) if stm else system
-            make = hy.taylor_adaptive_batch if many else hy.taylor_adaptive
-            options = QUICK if plain else {**COMPACT, "opt_level": level}
-            return make(system, np.zeros(states.shape), tol=self.tolerance, **options)
+            compile_integrator = hy.taylor_adaptive_batch if in_lanes else hy.taylor_adaptive
+            options = QUICK if states_only else {**COMPACT, "opt_level": level}
+            return compile_integrator(system, np.zeros(states.shape), tol=self.tolerance, **options)
 
-        work = None if plain else len(states) * (1 + stm * len(states))
-        original = _original(self.equations, kind, made, work=work)
+        # Code of plain states is quick to compile and needs no optimised version.
+        work = None if states_only else len(states) * (1 + stm * len(states))
+        original = _original(self.equations, kind, compiled, work=work)
         if self._compiled.get(kind, (None, None))[0] is not original:
             integrator = copy(original)
             # Parameters that the equations never use are not part of the compiled code.
             used = self.parameters[: len(integrator.pars)]
-            integrator.pars[:] = used[:, None] if many else used
+            integrator.pars[:] = used[:, None] if in_lanes else used
             self._compiled[kind] = original, integrator
         integrator, n = self._compiled[kind][1], len(states)
-        if many:
+        if in_lanes:
             integrator.set_time(0.0)
         else:
             integrator.time = 0.0
         integrator.state[:n] = states
         if stm:
             identity = np.eye(n).ravel()
-            integrator.state[n:] = identity[:, None] if many else identity
+            integrator.state[n:] = identity[:, None] if in_lanes else identity
         return integrator
 
     def flow(self, state: ArrayLike, duration: float) -> Array:
@@ -560,7 +588,7 @@ class Propagator:
         return states[0], matrices[0]
 
     def sample(self, state: ArrayLike, times: ArrayLike, *, most_steps: int = 0) -> Array:
-        """Return the states (K, N) at given times.
+        """Return the states (K, N) of a trajectory at given times.
 
         Args:
             state: state (N,) at time zero.
@@ -573,11 +601,12 @@ class Propagator:
         grid = np.asarray(times, dtype=float)
         if grid.size == 0:
             return np.empty((0, self.equations.dimension))
-        before = int(grid[0] != 0.0)
+        # heyoka's grid must begin at the integrator's time.
+        leading = int(grid[0] != 0.0)
         integrator = self._at_zero(np.asarray(state, dtype=float), stm=False)
-        result = integrator.propagate_grid(np.concatenate([[0.0] * before, grid]), max_steps=most_steps)
+        result = integrator.propagate_grid(np.concatenate([[0.0] * leading, grid]), max_steps=most_steps)
         check_arrival(integrator, result[0])
-        return np.array(result[-1])[before:]
+        return np.array(result[-1])[leading:]
 
     def followed(self, state: ArrayLike, times: Array) -> Array:
         """Return the states (M, N) at the first M of the times.
@@ -597,7 +626,7 @@ class Propagator:
         return reached
 
     def sample_with_stm(self, state: ArrayLike, times: ArrayLike) -> tuple[Array, Array]:
-        """Return states (K, N) and state-transition matrices (K, N, N).
+        """Return the states (K, N) of a trajectory and its state-transition matrices (K, N, N) from time zero.
 
         Args:
             state: state (N,) at time zero.
@@ -658,7 +687,7 @@ class Propagator:
         return self._flown(states, durations, stm=False)
 
     def flows_with_stm(self, states: Array, durations: Array) -> tuple[Array, Array]:
-        """Return the states of `flows` with state-transition matrices.
+        """Return the states of `flows` with state-transition matrices, for the Newton steps of multiple shooting.
 
         The matrices are (K, N, N).
 
@@ -670,8 +699,8 @@ class Propagator:
             ArithmeticError: a state became infinite or undefined.
         """
         n = self.equations.dimension
-        out = self._flown(states, durations, stm=True)
-        return out[:, :n].copy(), out[:, n:].reshape(-1, n, n).copy()
+        final_states = self._flown(states, durations, stm=True)
+        return final_states[:, :n].copy(), final_states[:, n:].reshape(-1, n, n).copy()
 
     def flows_with_tangents(self, states: Array, durations: Array, tangents: Array) -> tuple[Array, Array]:
         """Return the states (K, N) of `flows` and images of tangents.
@@ -684,24 +713,30 @@ class Propagator:
             tangents: tangents (K, N) at the starts.
         """
         n = self.equations.dimension
-        out = self._flown(np.hstack([states, tangents]), durations, stm=False, keep_lost=True)
-        return out[:, :n], out[:, n:]
+        final_states = self._flown(np.hstack([states, tangents]), durations, stm=False, keep_lost=True)
+        return final_states[:, :n], final_states[:, n:]
 
     def _flown(self, states: Array, durations: Array, *, stm: bool, keep_lost: bool = False) -> Array:
+        """Return the states (K, N) at the ends of K segments, propagated `LANES` at a time.
+
+        With `stm`, each row continues with the entries of the state-transition matrix (N²), row by row. States (K, 2 N)
+        have tangents behind them. With `keep_lost`, a segment that could not be propagated gives a row of NaN instead
+        of an ArithmeticError. `durations` (K,) are in s, negative for before.
+        """
         if not (np.isfinite(states).all() and np.isfinite(durations).all()):
             raise ArithmeticError("the start or the duration of a segment is not finite")
         n = states.shape[1]
-        out = np.empty((len(states), n + n * n if stm else n))
+        final_states = np.empty((len(states), n + n * n if stm else n))
         for first in range(0, len(states), LANES):
             # A partial last batch repeats its last segment.
-            which = np.minimum(np.arange(first, first + LANES), len(states) - 1)
-            integrator = self._at_zero(states[which].T, stm=stm)
-            integrator.propagate_until(durations[which])
-            ended = np.array([result[0] == hy.taylor_outcome.time_limit for result in integrator.propagate_res])
-            if not (keep_lost or ended.all()):
-                raise ArithmeticError(f"a segment of {np.max(np.abs(durations[which])):g} s could not be propagated")
-            out[which] = np.where(ended[:, None], integrator.state.T, np.nan)
-        return out
+            segments = np.minimum(np.arange(first, first + LANES), len(states) - 1)
+            integrator = self._at_zero(states[segments].T, stm=stm)
+            integrator.propagate_until(durations[segments])
+            arrived = np.array([result[0] == hy.taylor_outcome.time_limit for result in integrator.propagate_res])
+            if not (keep_lost or arrived.all()):
+                raise ArithmeticError(f"a segment of {np.max(np.abs(durations[segments])):g} s could not be propagated")
+            final_states[segments] = np.where(arrived[:, None], integrator.state.T, np.nan)
+        return final_states
 
 
 class PolynomialInputPropagator:
@@ -722,7 +757,7 @@ class PolynomialInputPropagator:
 
     @cached_property
     def _views(self) -> tuple[Any, Array, Array]:
-        """The integrator, its state (N,) and its inputs' coefficients."""
+        """The integrator, and views into it that set its state (N,) and the inputs' coefficients ((degree+1) m,)."""
         input_size = (self.degree + 1) * self.equations.input_count
         integrator = copy(_original(self.equations, ("polynomial", self.degree), lambda _: self._made(input_size)))
         # Parameters that the equations never use are not part of the compiled code.
@@ -731,6 +766,10 @@ class PolynomialInputPropagator:
         return integrator, integrator.state, integrator.pars[:input_size]
 
     def _made(self, input_size: int) -> Any:
+        """Compile the integrator, whose first `input_size` parameters are the coefficients c_k, input by input.
+
+        The equations' parameters follow. Horner's scheme evaluates the polynomials at the integrator's time.
+        """
         inputs = []
         for i in range(self.equations.input_count):
             first = (self.degree + 1) * i
@@ -742,7 +781,7 @@ class PolynomialInputPropagator:
         return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, **QUICK, time=0.0)
 
     def flow(self, state: ArrayLike, coefficients: ArrayLike, duration: float) -> Array:
-        """Return the state (N,) after a duration.
+        """Return the state (N,) after an interval with one polynomial of the inputs.
 
         Args:
             state: state (N,) at time zero.
@@ -752,13 +791,13 @@ class PolynomialInputPropagator:
         Raises:
             ArithmeticError: the state became infinite or undefined, or is absurdly fast.
         """
-        integrator, x, c = self._views
-        integrator.time, x[:], c[:] = 0.0, state, coefficients
+        integrator, state_view, coefficient_view = self._views
+        integrator.time, state_view[:], coefficient_view[:] = 0.0, state, coefficients
         check_arrival(integrator, integrator.propagate_until(duration, max_steps=INTERVAL_STEPS)[0])
-        return x.copy()
+        return state_view.copy()
 
     def sample(self, state: ArrayLike, coefficients: ArrayLike, times: ArrayLike) -> Array:
-        """Return the states (K, N) at given times.
+        """Return the states (K, N) within an interval with one polynomial of the inputs.
 
         Args:
             state: state (N,) at the first time, 0.
@@ -768,8 +807,8 @@ class PolynomialInputPropagator:
         Raises:
             ArithmeticError: the state became infinite or undefined, or is absurdly fast.
         """
-        integrator, x, c = self._views
-        integrator.time, x[:], c[:] = 0.0, state, coefficients
+        integrator, state_view, coefficient_view = self._views
+        integrator.time, state_view[:], coefficient_view[:] = 0.0, state, coefficients
         result = integrator.propagate_grid(np.asarray(times, dtype=float), max_steps=INTERVAL_STEPS)
         check_arrival(integrator, result[0])
         return np.array(result[-1])
@@ -795,7 +834,7 @@ def _real() -> Any:
 
 
 def extended(values: ArrayLike | Sequence[Exact]) -> Extended:
-    """Return numbers as an array of 113-bit reals.
+    """Return numbers as an array of 113-bit reals, of the same shape.
 
     Args:
         values: doubles, whole numbers, fractions or decimals, of any shape.
@@ -814,7 +853,7 @@ def extended(values: ArrayLike | Sequence[Exact]) -> Extended:
 
 
 def pi_times(multiples: ArrayLike) -> Extended:
-    """Return multiples of π, each rounded once to 113 bits.
+    """Return multiples of π, each rounded once to 113 bits, for angles of exact states.
 
     Args:
         multiples: doubles of any shape.
@@ -823,7 +862,7 @@ def pi_times(multiples: ArrayLike) -> Extended:
 
 
 def digits(values: Extended) -> list[str]:
-    """Return the decimal digits of 113-bit reals.
+    """Return the decimal digits of 113-bit reals as texts for files.
 
     There are 36 significant ones, which reproduce each number.
 
@@ -849,27 +888,33 @@ class ExtendedPropagator:
 
     @cached_property
     def _integrator(self) -> Any:
-        def made(_: int) -> Any:
+        """The integrator in 113-bit reals with the exact parameters."""
+
+        def compiled(_: int) -> Any:
             system = taylor_system(self.equations, [])
             zero = extended(np.zeros(len(system)))
             return hy.taylor_adaptive(system, zero, time=zero[0], fp_type=_real(), **COMPACT)
 
-        integrator = copy(_original(self.equations, "extended", made))
+        integrator = copy(_original(self.equations, "extended", compiled))
         # Parameters that the equations never use are not part of the compiled code.
         integrator.pars[:] = self.parameters[: len(integrator.pars)]
         return integrator
 
     @cached_property
     def _energy(self) -> Any:
-        e = self.equations
+        """The compiled energy H of a state (N,) in 113-bit reals."""
+        equations = self.equations
 
-        def made(_: int) -> Any:
-            states, parameters = [x for x, _ in taylor_system(e, [])], [hy.par[i] for i in range(e.parameters.shape[0])]
-            function = ca.Function("energy", [e.state, e.parameters], [e.hamiltonian])
+        def compiled(_: int) -> Any:
+            states, parameters = (
+                [x for x, _ in taylor_system(equations, [])],
+                [hy.par[i] for i in range(equations.parameters.shape[0])],
+            )
+            function = ca.Function("energy", [equations.state, equations.parameters], [equations.hamiltonian])
             value = to_heyoka(function, [states, parameters])
             return hy.cfunc(value, vars=states, fp_type=_real(), **COMPACT)
 
-        return copy(_original(e, "extended energy", made))
+        return copy(_original(equations, "extended energy", compiled))
 
     def flow(self, state: Extended, duration: Any) -> Extended:
         """Return the state (N,) after a duration.

@@ -78,7 +78,7 @@ class SystemOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class System(Brief, InUnits):
-    """A Hamiltonian system with N = 2n states.
+    """A Hamiltonian system with N = 2n states, in which orbits, tubes and connections are searched.
 
     Attributes:
         equilibria: name -> state (N,).
@@ -123,7 +123,7 @@ class System(Brief, InUnits):
         parameters: Mapping[str, float] | None = None,
         **options: Unpack[SystemOptions],
     ) -> "System":
-        """Return a system of two coordinates from L(q, v, parameters).
+        """Return a system of two coordinates from L(q, v, parameters), in which orbits and connections can be searched.
 
         Its states are coordinates and velocities.
 
@@ -184,32 +184,30 @@ class System(Brief, InUnits):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the N entries of a state.
+        """Names of the N entries of a state, for tables and files.
 
-        Coordinates, then their rates (v_x) or momenta (p_x).
+        Coordinates come first, then their rates (v_x) or momenta (p_x).
         """
         names, state = self.coordinates, np.linspace(0.1, 0.9, self.dimension)
+        # States (q, p) are their own momenta; at a generic state, rates differ from momenta.
         letter = "p" if np.allclose(self.numeric.momentum(state), state[len(names) :]) else "v"
         rates = (f"rate_{name[6:]}" if name.startswith("angle_") else f"{letter}_{name}" for name in names)
         return (*names, *rates)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Axis labels of the N entries of a state.
-
-        Those of arms have symbols and units.
-        """
+        """Axis labels of the N entries of a state, for pictures; those of arms have symbols and units."""
         symbols = [f"{name[6:].translate(SUBSCRIPTS)} (rad" for name in self.coordinates if name.startswith("angle_")]
         return (*(f"θ{name})" for name in symbols), *(f"ω{name}/s)" for name in symbols)) or self.columns
 
     @cached_property
     def turn_lengths(self) -> Array:
-        """Period (N,) of each coordinate, zero for other coordinates than angles."""
+        """Period (N,) of each state for whole turns, zero for other coordinates than angles."""
         return np.where(np.isfinite(self.periods), self.periods, 0.0)
 
     @cached_property
     def numeric(self) -> NumericEquations:
-        """The equations as numpy functions."""
+        """The equations as numpy functions with the system's parameters."""
         return NumericEquations(self.equations, self.parameters)
 
     @cached_property
@@ -227,11 +225,11 @@ class System(Brief, InUnits):
 
     @property
     def description(self) -> str:
-        """Text that identifies the system, apart from the values of its parameters."""
+        """Text that identifies the system in cache keys, apart from the values of its parameters."""
         functions = [self.equations.numeric_functions[key].serialize() for key in ("rate", "hamiltonian")]
-        rest = (self.equilibria, self.periods, self.reversers, self.orientation, self.scale, self.energy_scale,
+        settings = (self.equilibria, self.periods, self.reversers, self.orientation, self.scale, self.energy_scale,
                 self.sections, self.section_scale, self.flight_periods)  # fmt: skip
-        return "\n".join([*functions, repr(rest)])
+        return "\n".join([*functions, repr(settings)])
 
     @checked
     def equilibrium(self, name: str) -> Array:
@@ -272,7 +270,7 @@ class System(Brief, InUnits):
 
     @checked
     def check_same(self, other: "System") -> None:
-        """Raise an error if another system differs.
+        """Raise an error if another system differs, so that results of different systems are not combined.
 
         Name, coordinates and parameters are compared.
 
@@ -282,17 +280,17 @@ class System(Brief, InUnits):
         Raises:
             InputError: the systems differ.
         """
-        names = [
+        identities = [
             (system.name, system.dimension, system.coordinates, system.parameters.tolist()) for system in (self, other)
         ]
-        if self is not other and names[0] != names[1]:
+        if self is not other and identities[0] != identities[1]:
             numbers = " with other parameters" if self.name == other.name else ""
             raise InputError(f"the results are of different systems, {self.name} and {other.name}{numbers}; use one")
 
     def nearest_turns(self, difference: Array) -> Array:
-        """Return the whole periods (…, N) nearest to a difference.
+        """Return the numbers of whole periods (…, N) nearest to a difference of states.
 
-        The whole periods are integers, zero off angles.
+        They are integers as doubles, zero for other coordinates than angles.
 
         Args:
             difference: difference of states (…, N).
@@ -300,7 +298,7 @@ class System(Brief, InUnits):
         return np.rint(checked_array("difference", difference, len(self.periods)) / self.periods)
 
     def scaled_distance(self, first: Array, second: Array) -> Array:
-        """Return the largest scaled component of a difference (…).
+        """Return the distance (…) of states: the largest component of their difference over the system's scale.
 
         Angles count modulo a turn.
 
@@ -314,7 +312,7 @@ class System(Brief, InUnits):
 
 
 def saddle_index(numeric: NumericEquations, state: Array) -> int:
-    """Return the number of unstable directions of an equilibrium.
+    """Return the number of unstable directions of an equilibrium, which distinguishes saddles from centres.
 
     This number is the index of the saddle, zero for a centre.
 
@@ -355,11 +353,13 @@ def momentum_scale(system: System, section: Section) -> float:
 def _energy(
     name: str, kind: str, function: EnergyFunction, coordinates: Sequence[str], parameters: Mapping[str, float] | None
 ) -> tuple[Energy, ca.SX, Array]:
-    """Check a user's energy, and return it with its parameters.
+    """Check a user's energy, and return it as a function of casadi vectors, with its parameters' symbols and values.
 
-    It becomes a function of casadi vectors; the parameters have symbols and values.
+    The symbols are a vector (p,) in the order of the values (p,). The function raises an InputError if the user's
+    expression fails, is not a scalar, or depends on other variables. `kind` is "Lagrangian" or "Hamiltonian", for
+    messages.
     """
-    where, numbers = f"the {kind} of {name}", dict(parameters or {})
+    subject, numbers = f"the {kind} of {name}", dict(parameters or {})
     if len(coordinates) != 2 or isinstance(coordinates, str) or len(set(coordinates)) != 2:
         raise InputError(
             f"coordinates = {coordinates!r}: a user's system has two, with different names; tubes separate motions "
@@ -371,22 +371,23 @@ def _energy(
     symbols = ca.SX.sym("c", len(numbers))
 
     def energy(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
+        """Return the user's energy at positions q (2,) and velocities or momenta v (2,), with symbols as parameters."""
         named = {key: symbols[k] for k, key in enumerate(numbers)}
         try:
             value = ca.SX(function((q[0], q[1]), (v[0], v[1]), named))
         except Exception as error:
             reason = str(error).partition("\n")[0][:80]
             raise InputError(
-                f"{where} fails on casadi's SX symbols ({type(error).__name__}: {reason}); write it with their "
+                f"{subject} fails on casadi's SX symbols ({type(error).__name__}: {reason}); write it with their "
                 "arithmetic and casadi's functions, such as ca.sqrt"
             ) from error
         if value.shape != (1, 1):
-            raise InputError(f"{where} has the shape {value.shape}: an energy is one number")
+            raise InputError(f"{subject} has the shape {value.shape}: an energy is one number")
         declared = {symbol.element_hash() for part in (q, v, symbols) for symbol in ca.symvar(part)}
         undeclared = [str(symbol) for symbol in ca.symvar(value) if symbol.element_hash() not in declared]
         if undeclared:
             raise InputError(
-                f"{where} depends on {undeclared[0]!r}, which is no coordinate, "
+                f"{subject} depends on {undeclared[0]!r}, which is no coordinate, "
                 f"{'momentum' if kind[0] == 'H' else 'rate'} or parameter; "
                 "energy is conserved only if it does not depend on time or other variables"
             )
@@ -403,7 +404,7 @@ def described_system(
     equilibria: Mapping[str, Sequence[float]],
     **options: Unpack[SystemOptions],
 ) -> System:
-    """Return a system of equations (N = 2n states).
+    """Return a system of equations (N = 2n states), with its equilibria refined and its symmetries checked.
 
     Options that are not given have their defaults.
 
@@ -427,27 +428,29 @@ def described_system(
     states = _equilibria(name, numeric, equilibria, n)
     saddles = {key: state for key, state in states.items() if saddle_index(numeric, state) == 1}
     if not saddles:
-        kinds = ", ".join(f"{key} has index {saddle_index(numeric, state)}" for key, state in states.items())
-        raise InputError(f"{name} has no saddle of index one among its equilibria ({kinds}): give a guess near one")
-    first = next(iter(saddles.values()))
-    periods = _periods(name, numeric, options.get("periods", (None,) * n), first)
-    scale = _scale(name, options.get("scale"), numeric, periods, first)
+        indices = ", ".join(f"{key} has index {saddle_index(numeric, state)}" for key, state in states.items())
+        raise InputError(f"{name} has no saddle of index one among its equilibria ({indices}): give a guess near one")
+    first_saddle = next(iter(saddles.values()))
+    periods = _periods(name, numeric, options.get("periods", (None,) * n), first_saddle)
+    scale = _scale(name, options.get("scale"), numeric, periods, first_saddle)
     reversers = _reversers(name, numeric, saddles, scale, options.get("reversers"))
-    named = dict(options.get("sections", {}))
+    named_sections = dict(options.get("sections", {}))
     sections: dict[tuple[str, str], Section] = {}
     if "between" not in options and n == 2 and reversers:
         sections = _default_sections(saddles, reversers[0], numeric, scale, periods, coordinates)
         # Sections that an angle replaces can still be named.
         for key in saddles:
-            aside = _default_sections({key: saddles[key]}, reversers[0], numeric, scale, _ENDLESS, coordinates)
-            if (key, key) in aside and aside[key, key] != sections.get((key, key)):
-                named.setdefault(f"turning-{key}", aside[key, key])
+            turning_sections = _default_sections(
+                {key: saddles[key]}, reversers[0], numeric, scale, _ENDLESS, coordinates
+            )
+            if (key, key) in turning_sections and turning_sections[key, key] != sections.get((key, key)):
+                named_sections.setdefault(f"turning-{key}", turning_sections[key, key])
     for pair, key in options.get("between", {}).items():
-        for label, choices in ((key, named), (pair[0], saddles), (pair[1], saddles)):
+        for label, choices in ((key, named_sections), (pair[0], saddles), (pair[1], saddles)):
             if label not in choices:
                 raise InputError(f"between {pair} of {name} names {label!r}: {suggest(label, choices)}")
-        sections[pair] = named[key]
-    rises = numeric.hamiltonian(first + np.diag(scale) / 10) - numeric.hamiltonian(first)
+        sections[pair] = named_sections[key]
+    energy_rises = numeric.hamiltonian(first_saddle + np.diag(scale) / 10) - numeric.hamiltonian(first_saddle)
     return System(
         name=name,
         equations=equations,
@@ -458,9 +461,9 @@ def described_system(
         # The start is defined by the first coordinate, or rate, that changes along an orbit.
         orientation=np.asarray(options.get("orientation", np.tile(1e-3 ** np.arange(n), 2) / scale), dtype=float),
         scale=scale,
-        energy_scale=options.get("energy_scale", 100 * float(np.nanmax(np.abs(rises)))),
+        energy_scale=options.get("energy_scale", 100 * float(np.nanmax(np.abs(energy_rises)))),
         sections=sections,
-        named_sections=named,
+        named_sections=named_sections,
         section_scale=options.get("section_scale", float(np.min(scale[:n]))),
         flight_periods=options.get("flight_periods", 12.0),
         coordinates=tuple(coordinates),
@@ -471,9 +474,13 @@ def described_system(
 def _equilibria(
     name: str, numeric: NumericEquations, guesses: Mapping[str, Sequence[float]], n: int
 ) -> dict[str, Array]:
-    """Return the equilibria (N,) of Newton's method from guesses.
+    """Refine the guesses of equilibria by Newton's method, and return name -> state (N,).
 
-    Guesses are (n,) or (N,); exact ones are unchanged.
+    Guesses are (n,) coordinates, at rest, or states (N,). A guess at which the rate is exactly zero is unchanged. `n`
+    is the number of coordinates, and `name` the system's.
+
+    Raises:
+        InputError: an invalid name or guess, no convergence, or two guesses of the same equilibrium.
     """
     equilibria: dict[str, Array] = {}
     for key, guess in guesses.items():
@@ -504,6 +511,7 @@ def _equilibria(
                 f"no equilibrium of {name} was found from the guess {list(map(float, numbers))} of {key}: after "
                 f"{_NEWTON_STEPS} Newton steps the rate is still {residual:.1e}; give a nearer guess"
             )
+        # Entries of rounding size become exact zeros.
         state = np.where(np.abs(state) < 1e-16, 0.0, state)
         for earlier, earlier_state in equilibria.items():
             if np.allclose(state, earlier_state, rtol=0, atol=1e-9):
@@ -515,9 +523,12 @@ def _equilibria(
 
 
 def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | None], state: Array) -> Array:
-    """Return the periods (N,) of the coordinates (n,).
+    """Return the periods (N,) of all states from those declared for the coordinates (n,), infinite where there is none.
 
-    The periods are infinite where there is none.
+    The equations must repeat after each period, which is tested near the equilibrium `state`.
+
+    Raises:
+        InputError: an invalid period, or rates that differ after it.
     """
     n = len(state) // 2
     if len(periods) != n or any(p is not None and not number("periods", p) > 0 for p in periods):
@@ -525,8 +536,8 @@ def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | Non
     lengths = np.array([np.inf if p is None else float(p) for p in periods] + [np.inf] * n)
     for k in np.flatnonzero(np.isfinite(lengths)):
         states = _around(state, np.ones(2 * n))
-        before, after = numeric.rate(states), numeric.rate(states + lengths[k] * np.eye(2 * n)[k])
-        if not np.allclose(before, after, rtol=_SAME, atol=_SAME, equal_nan=True):
+        rates_before, rates_after = numeric.rate(states), numeric.rate(states + lengths[k] * np.eye(2 * n)[k])
+        if not np.allclose(rates_before, rates_after, rtol=_SAME, atol=_SAME, equal_nan=True):
             raise InputError(
                 f"periods = {list(periods)} of {name}: coordinate {k + 1} does not repeat after its period"
             )
@@ -536,14 +547,16 @@ def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | Non
 def _scale(
     name: str, scale: float | Sequence[float] | None, numeric: NumericEquations, periods: Array, saddle: Array
 ) -> Array:
-    """Return the typical size (N,) of each state.
+    """Return the typical size (N,) of each state, by which searches scale distances.
 
-    For the second half, it follows from the fastest eigenvalue at a saddle.
+    `scale` is the user's option: one number, n numbers for the coordinates, N numbers, or None for the default. Unless
+    given, the sizes of rates or momenta follow from the fastest eigenvalue at the saddle. `periods` (N,) give the
+    default for angles, half a turn.
     """
     n = len(periods) // 2
-    turning = np.isfinite(periods[:n])
+    is_angle = np.isfinite(periods[:n])
     try:
-        sizes = np.where(turning, periods[:n] / 2, 1.0) if scale is None else np.asarray(scale, dtype=float)
+        sizes = np.where(is_angle, periods[:n] / 2, 1.0) if scale is None else np.asarray(scale, dtype=float)
     except (TypeError, ValueError):
         sizes = np.empty(0)
     if sizes.shape not in ((), (n,), (2 * n,)) or not np.isfinite(sizes).all() or not (sizes > 0).all():
@@ -551,24 +564,25 @@ def _scale(
     if sizes.shape == (2 * n,):
         return sizes
     positions = np.broadcast_to(sizes, n)
-    fastest = float(np.abs(np.linalg.eigvals(numeric.jacobian(saddle))).max())
-    # Ratio of rates to momenta: one if the states are rates, or momenta of unit masses.
-    shares = np.linalg.norm(np.linalg.inv(numeric.jacobian(saddle)[:n, n:]), axis=1)
-    return np.concatenate([positions, positions * fastest * shares])
+    fastest_eigenvalue = float(np.abs(np.linalg.eigvals(numeric.jacobian(saddle))).max())
+    # One if the states are rates, or momenta of unit masses.
+    momenta_per_rate = np.linalg.norm(np.linalg.inv(numeric.jacobian(saddle)[:n, n:]), axis=1)
+    return np.concatenate([positions, positions * fastest_eigenvalue * momenta_per_rate])
 
 
 def _around(state: Array, scale: Array) -> Array:
-    """Return fixed states (K, N) scattered about one (N,).
+    """Return twelve fixed states (12, N), scattered about one (N,), at which symmetries are tested.
 
-    They lie off the fixed sets of symmetries.
+    They lie off the fixed sets of symmetries. `scale` (N,) is the typical size of each state.
     """
     return state + 0.3 * scale * np.random.default_rng(1).uniform(-1.0, 1.0, (12, len(state)))
 
 
 def _reverses(numeric: NumericEquations, reverser: Array, saddle: Array, scale: Array) -> bool:
-    """True if f(R x) = -R f(x) at scattered states.
+    """True if R reverses the motion about a saddle in time: f(R x) = -R f(x) at scattered states, x from the saddle.
 
-    R is a reverser about a saddle.
+    At least three of the states must have finite rates. `reverser` is R (N, N), and `scale` (N,) the states' typical
+    size.
     """
     states = _around(saddle, scale)
     rates = numeric.rate(states) @ reverser.T
@@ -584,31 +598,33 @@ def _reversers(
     scale: Array,
     declared: Sequence[ArrayLike] | None,
 ) -> tuple[Array, ...]:
-    """Return at most two reversers (N, N) about every saddle.
+    """Return at most two reversers (N, N) about every saddle: those declared, or the sign changes that hold.
 
-    Those declared, or sign changes that are found.
+    The product of both advances each Lyapunov orbit by half a period, as the search of symmetric orbits requires.
+    `saddles` are the saddles' states by name, and `declared` the user's option, None for the default.
 
-    The product of both advances each Lyapunov orbit by half a period.
+    Raises:
+        InputError: a declared reverser is no involution, or does not reverse the motion.
     """
     n = len(scale) // 2
     if declared is None:
         # Time reversal, if it holds, comes first.
         signs = product((1.0, -1.0), repeat=n)
-        given = [np.diag([*row, *(-s for s in row)]) for row in signs]
-        reversers = [r for r in given if all(_reverses(numeric, r, saddle, scale) for saddle in saddles.values())]
+        candidates = [np.diag([*entries, *(-s for s in entries)]) for entries in signs]
+        reversers = [r for r in candidates if all(_reverses(numeric, r, saddle, scale) for saddle in saddles.values())]
     else:
         reversers = []
         for value in declared:
-            row = np.asarray(value, dtype=float)
-            reverser = np.diag(np.concatenate([row, -row])) if row.shape == (n,) else row
+            entries = np.asarray(value, dtype=float)
+            reverser = np.diag(np.concatenate([entries, -entries])) if entries.shape == (n,) else entries
             if reverser.shape != (2 * n, 2 * n) or not np.allclose(reverser @ reverser, np.eye(2 * n)):
                 raise InputError(
-                    f"reverser {row.tolist()} of {name}: give {n} signs of the coordinates, or a matrix "
+                    f"reverser {entries.tolist()} of {name}: give {n} signs of the coordinates, or a matrix "
                     f"({2 * n}, {2 * n}) that is its own inverse"
                 )
             for key, saddle in saddles.items():
                 if not _reverses(numeric, reverser, saddle, scale):
-                    raise InputError(f"reverser {row.tolist()} of {name} does not reverse its motion about {key}")
+                    raise InputError(f"reverser {entries.tolist()} of {name} does not reverse its motion about {key}")
             reversers.append(reverser)
     for second in reversers[1:]:
         if all(_is_half_turn(numeric, saddle, second @ reversers[0]) for saddle in saddles.values()):
@@ -617,13 +633,13 @@ def _reversers(
 
 
 def _is_half_turn(numeric: NumericEquations, saddle: Array, symmetry: Array) -> bool:
-    """True if a symmetry is -1 on all saddle oscillations.
+    """True if a symmetry (N, N) is -1 on all oscillations about a saddle.
 
-    The symmetry is a matrix (N, N).
+    Such a symmetry advances the orbits by half a period. The oscillations are the vectors of imaginary eigenvalues.
     """
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(saddle)))
-    swings = vectors[:, np.abs(np.imag(values)) > 1e-6 * np.abs(values)]
-    return bool(np.allclose(symmetry @ swings, -swings, atol=1e-9))
+    oscillations = vectors[:, np.abs(np.imag(values)) > 1e-6 * np.abs(values)]
+    return bool(np.allclose(symmetry @ oscillations, -oscillations, atol=1e-9))
 
 
 _ENDLESS = np.full(4, np.inf)
@@ -637,76 +653,80 @@ def _default_sections(
     periods: Array,
     names: Sequence[str],
 ) -> dict[tuple[str, str], Section]:
-    """Return the existing sections between saddles that a reverser keeps.
+    """Return (from, to) -> section for the pairs of saddles whose section a reverser keeps; others have no default.
 
-    The sections are between all saddles of two coordinates.
+    The system has two coordinates, called `names`.
 
     Two saddles have the plane half-way, in both directions of an angle. Orbits of one saddle have a plane half a turn
     away if the unstable direction is mostly an angle. Otherwise they have the plane of the reverser's fixed set, which
     symmetric connections cross half-way. Under time reversal, the section is at the turning points along the unstable
-    direction.
+    direction. `scale` and `periods` (N,) are the system's.
     """
     sections: dict[tuple[str, str], Section] = {}
     for first, second in product(saddles, repeat=2):
-        low, high = sorted((first, second))
-        lower, upper = saddles[low], saddles[high]
+        low_name, high_name = sorted((first, second))
+        lower, upper = saddles[low_name], saddles[high_name]
         if first == second:
             values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(lower)))
-            side, section = _unit_row(vectors[:2, int(np.argmax(np.real(values)))]), None
-            along = int(np.argmax(np.abs(side / scale[:2])))
-            if np.isfinite(periods[along]):
-                turn = float(periods[along])
-                half = Section.plane(
-                    f"{names[along]} half a turn from {first}",
-                    np.eye(2)[along],
-                    offset=float(lower[along]) + turn / 2,
-                    period=turn,
+            direction, section = _unit_row(vectors[:2, int(np.argmax(np.real(values)))]), None
+            coordinate = int(np.argmax(np.abs(direction / scale[:2])))
+            if np.isfinite(periods[coordinate]):
+                period = float(periods[coordinate])
+                half_turn = Section.plane(
+                    f"{names[coordinate]} half a turn from {first}",
+                    np.eye(2)[coordinate],
+                    offset=float(lower[coordinate]) + period / 2,
+                    period=period,
                 )
-                if half.kept_by(reverser, lower):
-                    sections[first, first] = half
+                if half_turn.kept_by(reverser, lower):
+                    sections[first, first] = half_turn
                     continue
             for k in range(2):
                 if section is None and np.allclose(reverser[k], -np.eye(4)[k]):
-                    side, flat = np.eye(2)[1 - k], np.eye(2)[k]
-                    section = Section.plane(f"{names[k]} as at {first}", flat, offset=float(lower[k]))
-            section = section or Section.turning(f"turning back to {first}", side)
-            reach = 0.5 * float(np.linalg.norm(side * scale[:2]))
-            section = section.where(side, middle=float(side @ lower[:2]), reach=reach)
+                    direction, normal = np.eye(2)[1 - k], np.eye(2)[k]
+                    section = Section.plane(f"{names[k]} as at {first}", normal, offset=float(lower[k]))
+            section = section or Section.turning(f"turning back to {first}", direction)
+            reach = 0.5 * float(np.linalg.norm(direction * scale[:2]))
+            section = section.where(direction, middle=float(direction @ lower[:2]), reach=reach)
         else:
             difference = (upper - lower)[:2]
             difference = difference - np.rint(difference / periods[:2]) * np.where(
                 np.isfinite(periods[:2]), periods[:2], 0.0
             )
-            row = _unit_row(difference)
-            offset = float(row @ (lower[:2] + difference / 2))
-            section = Section.plane(f"between {low} and {high}", row, offset=offset, period=_turn(row, periods))
+            normal_between = _unit_row(difference)
+            offset = float(normal_between @ (lower[:2] + difference / 2))
+            section = Section.plane(
+                f"between {low_name} and {high_name}",
+                normal_between,
+                offset=offset,
+                period=_turn(normal_between, periods),
+            )
         if section.kept_by(reverser, saddles[second]):
             sections[first, second] = section
     return sections
 
 
 def _turn(row: Array, periods: Array) -> float | None:
-    """Return the distance between sheets, or None.
+    """Return the distance between the sheets of the plane half-way between two saddles, or None if it has one sheet.
 
-    The sheets are images of each other by whole turns.
-
-    The plane with unit normal `row` (2,) is half-way between two saddles.
+    The sheets are images of each other by whole turns. `row` (2,) is the plane's unit normal, and `periods` (N,) are
+    the system's.
     """
-    steps = np.abs(row[row != 0] * periods[:2][row != 0])
-    if not np.isfinite(steps).all() or not np.allclose(steps, steps[0]):
+    whole_turns = np.abs(row[row != 0] * periods[:2][row != 0])
+    if not np.isfinite(whole_turns).all() or not np.allclose(whole_turns, whole_turns[0]):
         return None
     # Along a single angle, the middles of both directions are half a turn apart.
-    return float(steps[0]) / (2 if len(steps) == 1 else 1)
+    return float(whole_turns[0]) / (2 if len(whole_turns) == 1 else 1)
 
 
 def _unit_row(direction: NDArray[Any]) -> Array:
-    """Return a row of unit length along a real direction.
+    """Return the row (n,) of unit length along a real direction (n,), with a definite sign, as a section's normal.
 
     Its largest entry is positive, and rounding is cut off.
     """
-    row = np.real(direction) / np.linalg.norm(np.real(direction))
-    row = np.where(np.abs(row) > 1e-12, row, 0.0)
-    return row * np.sign(row[np.argmax(np.abs(np.round(row, 9)))]) + 0.0
+    unit_row = np.real(direction) / np.linalg.norm(np.real(direction))
+    unit_row = np.where(np.abs(unit_row) > 1e-12, unit_row, 0.0)
+    return unit_row * np.sign(unit_row[np.argmax(np.abs(np.round(unit_row, 9)))]) + 0.0
 
 
 @dataclass(frozen=True)
@@ -726,7 +746,7 @@ class ThreeBodyParameters(Settings):
     mass_ratio: Annotated[float, Setting(above=0, most=0.5, help="Mass of the lighter body as a share of both.")]
 
     def named(self) -> dict[str, tuple[float, str]]:
-        """Return {name: (value, unit)}."""
+        """Return {name: (value, unit)} for tables and for options that name a parameter."""
         return {"mu": (self.mass_ratio, "1")}
 
     def with_value(self, name: str, value: float) -> "ThreeBodyParameters":
@@ -744,6 +764,7 @@ class ThreeBodyParameters(Settings):
 
 
 def _lagrangian(q: tuple[ca.SX, ...], v: tuple[ca.SX, ...], parameters: dict[str, ca.SX]) -> ca.SX:
+    """Return L of `ThreeBodyParameters` at positions q = (x, y) and velocities v in the rotating frame."""
     (x, y), (vx, vy), mu = q, v, parameters["mu"]
     first, second = (x + mu) ** 2 + y**2, (x - 1 + mu) ** 2 + y**2
     potential = -((1 - mu) * first + mu * second) / 2 - (1 - mu) / ca.sqrt(first) - mu / ca.sqrt(second)
@@ -751,7 +772,7 @@ def _lagrangian(q: tuple[ca.SX, ...], v: tuple[ca.SX, ...], parameters: dict[str
 
 
 def three_body_system(name: str, parameters: ThreeBodyParameters) -> System:
-    """Return the restricted three-body problem as a system.
+    """Return the restricted three-body problem as a system, for comparison with the tubes of celestial mechanics.
 
     The system has the equilibria L1, L2 and L3.
 

@@ -14,7 +14,7 @@ Flags = NDArray[np.bool_]
 
 
 def true_runs(which: Flags) -> NDArray[np.intp]:
-    """Return (first, end) of each run of true entries (N,)."""
+    """Return the uninterrupted runs of true flags (N,) as rows (first, end); `end` is the first index after the run."""
     return np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
 
 

@@ -24,7 +24,7 @@ class Budget:
         return self.share >= 1
 
     def part(self, seconds: float) -> "Budget":
-        """Return a budget within the rest of this one.
+        """Return the budget of one step of a search, which ends with this budget at the latest.
 
         Args:
             seconds: processor time from now, s.
@@ -32,7 +32,7 @@ class Budget:
         return Budget(max(0.0, min(seconds, self.seconds * (1 - self.share))))
 
     def until(self, share: float) -> "Budget":
-        """Return a budget that ends at a fraction of this one.
+        """Return the budget of a step that may last until a fraction of this budget has passed.
 
         Args:
             share: fraction of this budget, 0 to 1, counted from its begin.

@@ -41,18 +41,19 @@ _OURS = re.compile(rf"-[0-9a-f]{{16}}({'|'.join(map(re.escape, sorted(set(KINDS.
 """Suffixes of the cache's files; partly written files have further characters."""
 _SEAL = b"\nsha256:"
 _SEALED = len(_SEAL) + 64
+"""Beginning of a file's seal, and the length of the seal, bytes."""
 
 
 def cache_root() -> Path:
     """Return the cache's folder, which may not exist yet."""
-    chosen, base = os.environ.get(VARIABLE), os.environ.get("XDG_CACHE_HOME")
-    folder = chosen or str(Path(base or "~/.cache") / "dpcontrol")
+    requested, base_folder = os.environ.get(VARIABLE), os.environ.get("XDG_CACHE_HOME")
+    folder = requested or str(Path(base_folder or "~/.cache") / "dpcontrol")
     # Without a home folder, the name is unchanged, and its users reject it.
     return Path(os.path.expanduser(folder))
 
 
 def cache_file(kind: str, name: str, key: str) -> Path:
-    """Return the path for a result of one of the `KINDS`.
+    """Return the path under which a result of one of the `KINDS` is cached.
 
     Args:
         kind: one of the `KINDS`.
@@ -60,14 +61,12 @@ def cache_file(kind: str, name: str, key: str) -> Path:
         key: 16 hexadecimal digits that identify the content.
     """
     # The name is for readers. It remains a single path component, whatever its length and characters.
-    shown = re.sub(r"[^\w.+-]", "_", name)[:40]
-    return cache_root() / kind / f"{shown}-{key}{KINDS[kind]}"
+    readable_name = re.sub(r"[^\w.+-]", "_", name)[:40]
+    return cache_root() / kind / f"{readable_name}-{key}{KINDS[kind]}"
 
 
 def kept(file: Path) -> bytes | None:
-    """Return the content stored under this name.
-
-    The result is None if it is missing or damaged.
+    """Return the content that is stored under a name, without its seal, or None if it is missing or damaged.
 
     Args:
         file: entry, from `cache_file`.
@@ -122,6 +121,7 @@ def unusable(error: InputError) -> None:
 
 
 def _seal(file: Path, content: bytes) -> bytes:
+    """Return the seal of an entry: the digest of its name and content, which reveals renaming, editing and damage."""
     return _SEAL + hashlib.sha256(file.name.encode(errors="surrogateescape") + b"\n" + content).hexdigest().encode()
 
 
@@ -157,8 +157,8 @@ class CacheContents(Documented):
     def sentence(self) -> str:
         """The contents and the folder, in one sentence."""
         count = "1 entry" if self.entries == 1 else f"{self.entries} entries"
-        what = f"{count}, {self.bytes / 1e6:.1f} MB"
-        return f"emptied {self.folder}: {what}" if self.emptied else f"{self.folder} holds {what}"
+        content = f"{count}, {self.bytes / 1e6:.1f} MB"
+        return f"emptied {self.folder}: {content}" if self.emptied else f"{self.folder} holds {content}"
 
     def __repr__(self) -> str:
         return f"<cache: {self.sentence}>"
@@ -182,19 +182,19 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
     kinds: dict[str, tuple[int, int]] = {}
     try:
         at_home(root)
-        for kind, names in {**dict.fromkeys(KINDS, _OURS), COMPILER: _COMPILER_FILES}.items():
-            files = [file for file in (root / kind).glob("*") if names.search(file.name) and file.is_file()]
+        for kind, pattern in {**dict.fromkeys(KINDS, _OURS), COMPILER: _COMPILER_FILES}.items():
+            files = [file for file in (root / kind).glob("*") if pattern.search(file.name) and file.is_file()]
             kinds[kind] = (len(files), sum(file.stat().st_size for file in files))
             for file in files if clear else ():
                 file.unlink(missing_ok=True)
     except (OSError, InputError) as error:
-        what = f"cannot {'empty' if clear else 'read'} the cache: {error}"
-        raise InputError(f"{what}; check its permissions, or set {VARIABLE} to another folder") from error
+        failure = f"cannot {'empty' if clear else 'read'} the cache: {error}"
+        raise InputError(f"{failure}; check its permissions, or set {VARIABLE} to another folder") from error
     return CacheContents(root, kinds, clear)
 
 
 def commit() -> str:
-    """Return the commit of the checkout, or "" if installed."""
+    """Return the commit of a checkout of the sources, "" for an installed package, for the metadata of logs."""
     root = PACKAGE.parent
     if not (root / ".git").exists():
         return ""

@@ -1,7 +1,8 @@
 """Causes with which searches and runs end.
 
 Each result has the numbers that support its cause. Programs compare members, whose values identify them in logs, tables
-and documents. `dpcontrol.words` turns them into sentences for people.
+and documents. Sentences for people, which also explain the members, are in `dpcontrol.words`: `SENTENCES` of `searches`
+and `runs`, and `FINDINGS` of `findings`.
 """
 
 from enum import StrEnum, auto

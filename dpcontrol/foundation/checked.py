@@ -40,6 +40,7 @@ def checked(function: Function) -> Function:
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
+        """Check the arguments, then call the function with a receiver of progress reports if it takes one."""
         signature, hints = _signature(function), annotations_of(function)
         bound = signature.bind(*args, **kwargs)
         for name, value in bound.arguments.items():
@@ -61,6 +62,8 @@ _signature = cache(inspect.signature)
 def annotations_of(function: Callable[..., Any]) -> dict[str, Any]:
     """Return the annotations of a function by parameter, with stand-ins for classes that are not imported.
 
+    The annotations may be texts that name classes of heavy modules; reading them must not import these.
+
     Args:
         function: function as it was written, without the check.
     """
@@ -69,7 +72,11 @@ def annotations_of(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 class _ByName(type):
-    """The type of stand-ins for classes and modules that are not imported."""
+    """The type of stand-ins for classes and modules that are not imported.
+
+    A stand-in accepts the instances of every class that has its name, or has a base of this name. The attribute of a
+    stand-in for a module is the stand-in for a class.
+    """
 
     def __getattr__(cls, name: str) -> type:
         if name.startswith("_"):
@@ -91,24 +98,25 @@ def check(name: str, value: Any, hint: Any) -> None:
     """Raise an error if a value does not fit a type.
 
     Args:
-        name: of the argument, for the message.
+        name: name of the argument, for the message.
         value: the argument.
         hint: the type, as annotations write it.
 
     Raises:
-        InputError: names the argument, its value and the allowed values.
+        InputError: the value does not fit; the message names the argument, its value and the allowed values.
     """
     noun, fits = _kind(hint)
     if fits(value):
         return
-    texts = [text for part in (hint, *get_args(hint)) if get_origin(part) is Literal for text in get_args(part)]
-    if isinstance(value, str) and texts and all(isinstance(text, str) for text in texts):
-        raise InputError(f"{name} = {shortened(value)}: {suggest(value, texts)}")
+    # Entries of Literal, also of one that is an alternative in a union.
+    choices = [text for part in (hint, *get_args(hint)) if get_origin(part) is Literal for text in get_args(part)]
+    if isinstance(value, str) and choices and all(isinstance(text, str) for text in choices):
+        raise InputError(f"{name} = {shortened(value)}: {suggest(value, choices)}")
     raise InputError(f"{name} = {shortened(value)}: must be {noun}")
 
 
 def number(name: str, value: Any) -> float:
-    """Return a finite number as a float.
+    """Check that an argument is a finite number, and return it as a float.
 
     Args:
         name: argument, for the message.
@@ -122,7 +130,7 @@ def number(name: str, value: Any) -> float:
 
 
 def numbers(name: str, values: Any, count: int) -> tuple[float, ...]:
-    """Return `count` finite numbers.
+    """Check that an argument is a sequence of `count` finite numbers, and return them as floats.
 
     Args:
         name: argument, for the message.
@@ -145,16 +153,18 @@ class _Kind(NamedTuple):
 
 @cache
 def _plain_kinds() -> dict[Any, _Kind]:
-    """Return the values that each plain type allows.
+    """Return the noun and the test of the values that each plain type allows, by type.
 
-    The import within the function keeps the signatures of public functions quick to import.
+    NumPy is imported within the function, which keeps the import of the public functions quick.
     """
     import numpy as np
 
     def is_number(value: Any, kind: Any) -> bool:
+        """Return True for a finite number of a kind; True and False, which Python counts as whole numbers, are none."""
         return isinstance(value, kind) and not isinstance(value, bool) and is_finite(value)
 
     def is_array(value: Any) -> bool:
+        """Return True for a NumPy array of finite real numbers of any shape."""
         return isinstance(value, np.ndarray) and value.dtype.kind in "iuf" and bool(np.isfinite(value).all())
 
     return {
@@ -172,7 +182,11 @@ def _plain_kinds() -> dict[Any, _Kind]:
 
 @cache
 def _kind(hint: Any) -> _Kind:
-    """Return the values that a type allows."""
+    """Return the noun and the test of the values that a type allows, composed from those of its parts.
+
+    Args:
+        hint: type as annotations write it, such as a union, a literal, or a list of another type.
+    """
     kind, inner = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, types.UnionType):
         parts = [_kind(part) for part in inner]
@@ -185,8 +199,9 @@ def _kind(hint: Any) -> _Kind:
             return _Kind(noun, fits)
         return _Kind(f"{noun}, {bounds.range}", lambda value: fits(value) and not bounds.complaint(value))
     if kind is Literal:
-        typed = [(type(constraint), constraint) for constraint in inner]
-        return _Kind(", ".join(map(repr, inner)), lambda value: (type(value), value) in typed)
+        # The types are compared too, because True == 1 in Python.
+        typed_values = [(type(constraint), constraint) for constraint in inner]
+        return _Kind(", ".join(map(repr, inner)), lambda value: (type(value), value) in typed_values)
     if kind is Mapping:
         key, entry = map(_kind, inner)
         return _Kind(
@@ -194,22 +209,23 @@ def _kind(hint: Any) -> _Kind:
             lambda value: isinstance(value, Mapping) and all(key.fits(k) and entry.fits(v) for k, v in value.items()),
         )
     if kind in (Sequence, Collection, tuple):
-        fixed = [_kind(part) for part in inner] if kind is tuple and Ellipsis not in inner else []
-        each, count = _kind(inner[0]), f"{len(fixed)} values" if fixed else "a list"
+        kinds_by_position = [_kind(part) for part in inner] if kind is tuple and Ellipsis not in inner else []
+        entry_kind, count = _kind(inner[0]), f"{len(kinds_by_position)} values" if kinds_by_position else "a list"
 
         def fit(value: Any) -> bool:
-            entries = fixed or [each] * (len(value) if is_list(value) else 0)
+            """Return True for a list whose entries fit the kinds at their places, or the kind of every entry."""
+            entries = kinds_by_position or [entry_kind] * (len(value) if is_list(value) else 0)
             return is_list(value) and len(value) == len(entries) and all(map(lambda k, v: k.fits(v), entries, value))
 
-        return _Kind(f"{count}, each {each.noun}" if each.noun else count, fit)
+        return _Kind(f"{count}, each {entry_kind.noun}" if entry_kind.noun else count, fit)
     if kind in _plain_kinds():
         return _plain_kinds()[kind]
     name = getattr(kind, "__name__", str(kind))
     # The methods of a protocol's object are checked where they are called.
-    checks = isinstance(kind, type) and not getattr(kind, "_is_protocol", False)
+    can_check = isinstance(kind, type) and not getattr(kind, "_is_protocol", False)
     return _Kind(
         f"{'an' if name[0] in 'AEIOU' else 'a'} {name}",
-        lambda value: isinstance(value, kind) if checks else value is not None or not isinstance(kind, type),
+        lambda value: isinstance(value, kind) if can_check else value is not None or not isinstance(kind, type),
     )
 
 

@@ -26,7 +26,7 @@ class Config(Settings):
 
 
 class Configured(NamedTuple):
-    """A setting's value, where it comes from (environment, file or default), and its environment variable."""
+    """A setting's value with its source (environment, file or default) and its environment variable."""
 
     name: str
     value: Any
@@ -82,7 +82,7 @@ def config_file() -> Path:
 
 
 def configuration() -> Config:
-    """Return the defaults from file and environment.
+    """Return the defaults of the command line, from the environment and the configuration file.
 
     Raises:
         InputError: a mistake in the file or in a variable.
@@ -91,7 +91,7 @@ def configuration() -> Config:
 
 
 def configured() -> Iterator[Configured]:
-    """Yield each setting with its source.
+    """Yield each setting with its value and its source: an environment variable, the file, or the default.
 
     Raises:
         InputError: a mistake in the file or in a variable.
@@ -100,12 +100,12 @@ def configured() -> Iterator[Configured]:
     values = read_toml(file)[0] if os.path.isfile(file) else {}
     of_file = table_of(Config).read(values, Place(str(file)))
     for name, leaf in leaves_of(Config).items():
-        key = f"DPCONTROL_{name.upper()}"
-        if key in os.environ:
-            value, source = leaf.read(os.environ[key], key=key, strict=False), key
+        variable = f"DPCONTROL_{name.upper()}"
+        if variable in os.environ:
+            value, source = leaf.read(os.environ[variable], key=variable, strict=False), variable
         else:
             value, source = getattr(of_file, name), str(file) if name in values else "default"
-        yield Configured(name, value, source, leaf.bounds.help, key)
+        yield Configured(name, value, source, leaf.bounds.help, variable)
 
 
 def log_folder() -> Path:

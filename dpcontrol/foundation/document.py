@@ -54,7 +54,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
-    """Return the entries of a result's document.
+    """Return the entries of a result's document, which `KEYS` of its class lists.
 
     Args:
         result: a dataclass, mapping or other object.
@@ -79,9 +79,14 @@ def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
 
 
 def _part(value: Any, path: str) -> Any:
-    """Return the value at the end of a dotted path of attributes, items of mappings, places in sequences, and methods.
+    """Return the value at the end of a path below an object, as an entry of `KEYS` names it.
 
-    The methods are called without arguments.
+    A name of the path is an attribute, the key of a mapping, or the place in a sequence. Another name at a sequence
+    gives the list of this attribute of its items. Methods are called without arguments.
+
+    Args:
+        value: object at which the path begins.
+        path: names separated by dots. A path that begins with "#" stands for the length of its value.
     """
     for name in path.lstrip("#").split("."):
         if value is None:
@@ -95,7 +100,12 @@ def _part(value: Any, path: str) -> Any:
 
 
 def _rows(value: Any, columns: str) -> Any:
-    """Return some entries of an object, or of each of its items."""
+    """Return selected entries of an object, or of each item of a list or mapping.
+
+    Args:
+        value: object, list or mapping.
+        columns: entries as in `KEYS`, separated by commas.
+    """
     if isinstance(value, list | tuple):
         return [_row(item, columns) for item in value]
     if isinstance(value, Mapping):
@@ -104,13 +114,14 @@ def _rows(value: Any, columns: str) -> Any:
 
 
 def _row(value: Any, columns: str) -> dict[str, Any]:
+    """Return selected entries of one object; a plain tuple gets the names in order."""
     if type(value) is tuple:
         return dict(zip(columns.split(","), value, strict=True))
     return document_of(value, columns.replace(",", " "))
 
 
 def picked(result: Any, *names: str) -> dict[str, Any]:
-    """Return attributes of a result by name.
+    """Return some attributes of a result by name, as a part of its document.
 
     Args:
         result: any object.

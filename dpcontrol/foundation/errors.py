@@ -25,7 +25,7 @@ def concise(sentence: str) -> str:
 
 
 def shortened(value: Any) -> str:
-    """Return the repr of a value, shortened if it is long.
+    """Return the repr of a value for a message, in one line and shortened if it is long.
 
     Args:
         value: any object.
@@ -64,7 +64,7 @@ class InputError(Exception):
         return (self,)
 
     def under(self, where: str, *, table: str = "", key: str = "") -> "InputError":
-        """Return the same mistake, or mistakes, in another place.
+        """Return the same mistake, or mistakes, with another place at the beginning, such as a file and a table.
 
         Args:
             where: beginning of each message.
@@ -93,7 +93,7 @@ class InputErrors(InputError):
 
 
 def together(errors: Sequence[InputError]) -> InputError:
-    """Return one error for one mistake or several.
+    """Return one error for the mistakes in one input, be they one or several.
 
     Args:
         errors: mistakes in one input.
@@ -111,6 +111,7 @@ class Mistakes:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        """Keep a mistake that was raised in the block, and suppress its error; other errors are passed on."""
         if isinstance(error, InputError):
             self.errors += error.errors
         return isinstance(error, InputError)
@@ -177,6 +178,7 @@ def printable(text: str, *, json: bool = False) -> str:
     """
 
     def written_out(match: re.Match[str]) -> str:
+        """Return the escape sequence of one character."""
         code = ord(match[0])
         if json:
             return f"\\u{code:04x}"

@@ -86,8 +86,8 @@ def checked_folder(folder: Path, path: Path | None = None) -> None:
     """
     ancestor = next(parent for parent in (folder, *folder.parents, Path()) if os.path.lexists(parent))
     if not (ancestor.is_dir() and os.access(ancestor, os.W_OK)):
-        wrong = f"{ancestor} is not a folder" if not ancestor.is_dir() else f"permission denied in {ancestor}"
-        raise InputError(f"cannot write {path or folder}: {wrong}; choose another file or folder")
+        obstacle = f"{ancestor} is not a folder" if not ancestor.is_dir() else f"permission denied in {ancestor}"
+        raise InputError(f"cannot write {path or folder}: {obstacle}; choose another file or folder")
 
 
 @contextmanager
@@ -107,18 +107,19 @@ def claimed(path: Path) -> Iterator[None]:
     """
     place = Path(os.path.realpath(path))
     checked_folder(place.parent, path)
-    partial = place.with_name(f".{place.name[:40]}-{content_hash(place.name)}.partial")
+    lock_file = place.with_name(f".{place.name[:40]}-{content_hash(place.name)}.partial")
     folders = [folder for folder in place.parents if not os.path.exists(folder)]
     place.parent.mkdir(parents=True, exist_ok=True)
-    with partial.open("ab") as handle:
-        if not _exclusive(handle.fileno()):
+    with lock_file.open("ab") as lock:
+        # The claim begins with the lock, not with the file, which a killed command leaves behind.
+        if not _exclusive(lock.fileno()):
             raise InTheWay(
                 f"cannot write {path}: another dpcontrol command is writing it; wait for it, or choose another name"
             )
         try:
             yield
         finally:
-            partial.unlink(missing_ok=True)
+            lock_file.unlink(missing_ok=True)
             # The deepest comes first; one that is not empty ends this.
             with suppress(OSError):
                 for folder in folders:
@@ -126,7 +127,14 @@ def claimed(path: Path) -> Iterator[None]:
 
 
 def _exclusive(handle: int) -> bool:
-    """Return True if no other command has this file open exclusively, or removed it meanwhile."""
+    """Lock an open file for this command alone, and return True if that succeeded.
+
+    It fails if another command has locked the file, or has removed it since it was opened: a lock on a removed file
+    would not stop a third command. Where files cannot be locked, it counts as locked.
+
+    Args:
+        handle: descriptor of the file.
+    """
     try:
         import fcntl
 
@@ -145,20 +153,20 @@ def free_name(path: Path, make: Callable[[Path], T]) -> Iterator[T]:
 
     Args:
         path: the first name.
-        make: makes or checks the file of a name; raises `InTheWay` if another command made it.
+        make: function that makes or checks the file of a name, and raises `InTheWay` if another command made the file.
 
     Raises:
         InputError: see `claimed` and `make`, except `InTheWay`.
     """
     for number in itertools.count(1):
-        place = path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
+        candidate = path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
         with ExitStack() as stack:
             try:
-                stack.enter_context(claimed(place))
-                name = make(place)
+                stack.enter_context(claimed(candidate))
+                result = make(candidate)
             except InTheWay:
                 continue
-            yield name
+            yield result
             return
 
 
@@ -178,6 +186,7 @@ def chosen_name(
     """
 
     def checked(file: Path) -> Path:
+        """Return a name that has passed the check."""
         check(file)
         return file
 
@@ -192,7 +201,7 @@ def chosen_name(
 
 
 def checked_source(path: Path | str) -> Path:
-    """Return the path of a regular or missing file to read.
+    """Return the path of a file to read, after a check that it is a regular file or missing.
 
     Args:
         path: file to read; links are followed.
@@ -238,7 +247,7 @@ def checked_size(size: float, what: str = "it", *, most: int = MOST_UNPACKED) ->
 
 
 def checked_other_file(out: Path, source: Path | str, *, what: str, option: str = "--out") -> None:
-    """Reject a target that is the file being read.
+    """Reject a file to write that is the file being read, by any name, because its content would be lost.
 
     Args:
         out: file to write.
@@ -247,14 +256,14 @@ def checked_other_file(out: Path, source: Path | str, *, what: str, option: str 
         option: option that names the target.
 
     Raises:
-        InputError: `out` is the file `source`, perhaps by another name; what: its role, such as "the log to repeat".
+        InputError: `out` is the file `source`, perhaps by another name.
     """
     if os.path.exists(out) and os.path.samefile(out, source):
         raise InputError(f"{option} {out}: that is {what}; choose another name")
 
 
 def in_the_way(path: Path | str, what: str) -> InTheWay:
-    """Return the error of a file that is not replaced.
+    """Return the error of a file with other content, which a command does not replace without --force.
 
     Args:
         path: the existing file.
@@ -327,18 +336,19 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
         InputError: the folder is there and holds something else, or cannot be written.
     """
     checked_folder(path)
-    data = {path / name: text.encode() for name, text in files.items()}
-    before = {file: file.read_bytes() for file in data if file.is_file()}
-    occupied = path.is_dir() and any(path.iterdir()) and not before
-    if not force and (occupied or any(content != data[file] for file, content in before.items())):
+    encoded = {path / name: text.encode() for name, text in files.items()}
+    present = {file: file.read_bytes() for file in encoded if file.is_file()}
+    # A folder with other files only was not written by an earlier call and stays as it is.
+    occupied = path.is_dir() and any(path.iterdir()) and not present
+    if not force and (occupied or any(content != encoded[file] for file, content in present.items())):
         raise in_the_way(path, "holds something else")
-    for file, content in data.items():
-        if content != before.get(file):
+    for file, content in encoded.items():
+        if content != present.get(file):
             write_whole(file, content)
 
 
 def content_hash(*parts: str | bytes) -> str:
-    """Return 16 hexadecimal digits that identify `parts` in order.
+    """Return 16 hexadecimal digits that identify `parts` in order, for the names of cached results and of locks.
 
     Args:
         *parts: bytes, or texts encoded as UTF-8.
@@ -347,6 +357,7 @@ def content_hash(*parts: str | bytes) -> str:
     for part in parts:
         # Names of files can have bytes that are no text.
         data = part.encode(errors="surrogateescape") if isinstance(part, str) else part
+        # The length separates the parts: ("ab", "c") and ("a", "bc") differ.
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
     return digest.hexdigest()[:16]
@@ -398,13 +409,15 @@ def archive_format(path: Path | str) -> str:
 def archive(
     path: Path | IO[bytes], *, what: str, make: str, again: str, format: str, versions: tuple[int, ...]
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield the header and the arrays of `path`; errors in the block mean damage.
+    """Yield the header and the arrays of an archive, for a block that makes an object of them.
+
+    Errors in the block mean damage, because the block reads what the archive should contain.
 
     Args:
         path: path, or an open binary file.
-        what: kind of archive with its article.
-        make: how to make one.
-        again: how to replace a damaged one.
+        what: kind of archive with its article, such as "a plan", for messages.
+        make: sentence on how to make one, for the message on a missing file.
+        again: sentence on how to replace a damaged one.
         format: required format.
         versions: supported versions.
 
@@ -428,6 +441,6 @@ def archive(
     except FileNotFoundError as error:
         raise InputError(f"there is no {what.partition(' ')[2]} {path}; {make}") from error
     except (*UNREADABLE, InputError) as error:
-        said = next(iter(str(error).splitlines()), type(error).__name__)[:200]
-        reason = f"it lacks {error}" if isinstance(error, KeyError) else said
+        message = next(iter(str(error).splitlines()), type(error).__name__)[:200]
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else message
         raise InputError(f"{path} is not {what} of dpcontrol, or is damaged: {reason}; {again}") from error

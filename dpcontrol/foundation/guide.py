@@ -30,8 +30,8 @@ class GuidePage(str):
 
     def document(self) -> dict[str, Any]:
         """Return the page and the list of pages as JSON values."""
-        shown = {} if self.topic is None else {"topic": self.topic, "text": str(self)}
-        return {**shown, "topics": [{"topic": name, "about": about} for name, about in self.topics.items()]}
+        page = {} if self.topic is None else {"topic": self.topic, "text": str(self)}
+        return {**page, "topics": [{"topic": name, "about": about} for name, about in self.topics.items()]}
 
 
 def page(topic: str | None = None) -> GuidePage:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 _received: list[int] = []
-"""Signals for which KeyboardInterrupt was raised and that nobody has handled yet."""
+"""Numbers of the signals for which KeyboardInterrupt was raised and that are not handled yet."""
 
 
 def endings() -> list[signal.Signals]:
@@ -23,9 +23,15 @@ def endings() -> list[signal.Signals]:
 
 
 def _interrupted(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt for the first signal, and leave the next one to the system, which ends the program.
+
+    Args:
+        number: number of the signal.
+        frame: interrupted frame, as handlers of signals receive it.
+    """
     _received.append(number)
-    for each in endings():
-        signal.signal(each, signal.SIG_DFL)
+    for ending in endings():
+        signal.signal(ending, signal.SIG_DFL)
     raise KeyboardInterrupt
 
 
@@ -37,12 +43,12 @@ def interrupts() -> Iterator[None]:
     """
     _received.clear()
     in_main = threading.current_thread() is threading.main_thread()
-    before = {number: signal.signal(number, _interrupted) for number in endings()} if in_main else {}
+    handlers = {number: signal.signal(number, _interrupted) for number in endings()} if in_main else {}
     try:
         with _as_interrupt():
             yield
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
@@ -53,14 +59,14 @@ def catching_interrupts() -> Iterator[None]:
     For compiled code that catches Ctrl-C and returns as if it had failed. It also works in programs without
     `interrupts`.
     """
-    alone = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    with interrupts() if alone else _as_interrupt():
+    has_default_handler = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with interrupts() if has_default_handler else _as_interrupt():
         yield
 
 
 @contextmanager
 def _as_interrupt() -> Iterator[None]:
-    """Raise KeyboardInterrupt instead of another error, or of none, after an interrupt."""
+    """Raise KeyboardInterrupt at the end of the block if it was interrupted, even if other code hid the interrupt."""
     try:
         yield
     except Exception as error:

@@ -37,10 +37,11 @@ _NEEDED = {
     "with matplotlib by --picture FILE.png",
     "websockets": "the planner needs websockets; install it by `pip install 'dpcontrol[planner]'`",
 }
+"""Sentences about missing packages: their use and their installation, by name for `import`."""
 
 
 def part(name: str) -> Any:
-    """Import and return a package.
+    """Import and return an optional package, or explain its installation.
 
     Args:
         name: name for `import`.
@@ -106,6 +107,7 @@ _DISTRIBUTIONS = (
     "numpy", "scipy", "casadi", "heyoka", "networkx", "control", "filterpy", "mcap", "zstandard", "matplotlib",
     "rerun-sdk", "pyarrow", "mat-io", "pandas", "python-flint",
 )  # fmt: skip
+"""Packages whose versions are reported."""
 
 
 def versions() -> dict[str, str]:
@@ -114,9 +116,9 @@ def versions() -> dict[str, str]:
     import platform
     from importlib.metadata import distributions
 
-    of_distributions = {
+    installed_versions = {
         distribution.metadata["Name"].lower().replace("_", "-"): distribution.version
         for distribution in distributions()
     }
     program = {"dpcontrol": VERSION, "python": platform.python_version(), "system": platform.platform()}
-    return {**program, **{name: of_distributions.get(name, "") for name in _DISTRIBUTIONS}}
+    return {**program, **{name: installed_versions.get(name, "") for name in _DISTRIBUTIONS}}

@@ -56,19 +56,28 @@ def in_processes(
 
 
 def _results(function: Callable[[Piece], Done], pieces: Sequence[Piece], workers: int) -> Iterator[tuple[Piece, Done]]:
+    """Yield each piece with its result, in the order in which results arrive.
+
+    If the caller stops early, or an error occurs, the processes that this call started are ended.
+
+    Args:
+        function: function of a module, which computes the result of a piece.
+        pieces: arguments of the function.
+        workers: number of processes; with 1 everything runs in this one.
+    """
     if workers == 1 or len(pieces) <= 1:
         for piece in pieces:
             yield piece, function(piece)
         return
-    previous = set(multiprocessing.active_children())
+    other_children = set(multiprocessing.active_children())
     # Forked processes would share the threads of heyoka and casadi in an unknown state.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
     try:
         with ignoring_interrupts():
-            running = {pool.submit(function, piece): piece for piece in pieces}
-        for future in as_completed(running):
-            yield running[future], future.result()
+            pieces_of_futures = {pool.submit(function, piece): piece for piece in pieces}
+        for future in as_completed(pieces_of_futures):
+            yield pieces_of_futures[future], future.result()
         # At the end of a program, Python may use the pipes of processes that are still ending.
         pool.shutdown()
     except BrokenProcessPool as error:
@@ -78,7 +87,7 @@ def _results(function: Callable[[Piece], Done], pieces: Sequence[Piece], workers
             "again, with fewer --workers"
         ) from error
     except BaseException:
-        for worker in set(multiprocessing.active_children()) - previous:
+        for worker in set(multiprocessing.active_children()) - other_children:
             worker.terminate()
         raise
     finally:
@@ -97,6 +106,7 @@ def end_with_parent() -> None:
 
 
 def _exit_after(sentinel: int) -> None:
+    """End this process when the parent has ended, for which the system marks `sentinel` as ready."""
     multiprocessing.connection.wait([sentinel])
     os._exit(1)
 
@@ -105,9 +115,9 @@ def _exit_after(sentinel: int) -> None:
 def ignoring_interrupts() -> Iterator[None]:
     """Ignore Ctrl-C in the block, as processes started in it do from then on; only the main thread can do so."""
     in_main = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
+    previous_handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
     try:
         yield
     finally:
         if in_main:
-            signal.signal(signal.SIGINT, before)
+            signal.signal(signal.SIGINT, previous_handler)

@@ -40,7 +40,7 @@ def no_progress(what: str, done: float) -> None:
 
 
 def part_of(progress: Progress, low: float, high: float) -> Progress:
-    """Return a progress function that maps 0 to 1 to the range from `low` to `high` of the whole work.
+    """Return a progress function for a part of the work, whose 0 to 1 are `low` to `high` of the whole work.
 
     Args:
         progress: progress function of the whole work.
@@ -49,6 +49,7 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
     """
 
     def report(what: str, done: float) -> None:
+        """Report the completed share of the part as a share of the whole work."""
         progress(what, low + (high - low) * done)
 
     return report
@@ -64,15 +65,16 @@ def lines(label: str) -> Progress:
     Args:
         label: begin of each line.
     """
-    began = last = time.monotonic()
+    start = last = time.monotonic()
 
     def report(what: str, done: float) -> None:
+        """Write a line if twenty seconds have passed since the last one."""
         nonlocal last
         # A full disk or a closed reader does not stop the work.
         with suppress(OSError):
             if (now := time.monotonic()) - last >= _LINE:
                 last = now
-                text = f"{printable(label)}: {printable(what)}, {done:.0%} after {now - began:.0f} s"
+                text = f"{printable(label)}: {printable(what)}, {done:.0%} after {now - start:.0f} s"
                 sys.stderr.write(f"{text}\n")
                 sys.stderr.flush()
 
@@ -106,6 +108,7 @@ def reporting(progress: Progress | Literal[True] | None, label: str) -> Iterator
     task = bar.add_task(printable(label), total=1.0)
 
     def report(what: str, done: float) -> None:
+        """Show the task and its completed share in the bar, which appears with the first report."""
         bar.start()
         bar.update(task, completed=done, description=printable(what))
 
@@ -164,6 +167,7 @@ def announce(cost: Cost, *, yes: bool, above: float = ANNOUNCED_FROM) -> None:
 
 
 def _time(seconds: float) -> str:
+    """Return a duration in days, hours, minutes or seconds, in the largest unit that gives a number well above one."""
     for size, unit, above in ((86400.0, "days", 48 * 3600.0), (3600.0, "hours", 5400.0), (60.0, "minutes", 90.0)):
         if seconds >= above:
             return f"{_rounded(seconds / size)} {unit}"
@@ -171,7 +175,7 @@ def _time(seconds: float) -> str:
 
 
 def size_text(memory: float) -> str:
-    """Return a size with its unit.
+    """Return a size of memory as text with its unit, MB or GB.
 
     Args:
         memory: bytes.
@@ -180,4 +184,5 @@ def size_text(memory: float) -> str:
 
 
 def _rounded(value: float) -> str:
+    """Return a number with two significant digits, without an exponent, since predictions are no more accurate."""
     return f"{float(f'{value:.2g}'):,.10g}"

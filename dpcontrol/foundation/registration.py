@@ -17,7 +17,7 @@ _HOME = "dpcontrol.runs.environments"
 
 
 def register_environments() -> None:
-    """Register the environments."""
+    """Register the environments with gymnasium, so that `gymnasium.make("dpcontrol/SwingUp-v0")` makes one."""
     import gymnasium
 
     for name, (definition, steps) in ENVIRONMENTS.items():
@@ -34,6 +34,7 @@ class _RegisteringLoader(SourceFileLoader):
     """Python's loader of a package, after which the environments are registered."""
 
     def exec_module(self, module: ModuleType) -> None:
+        """Import the package, then register the environments in it."""
         super().exec_module(module)
         register_environments()
 

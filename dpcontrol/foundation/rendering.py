@@ -70,7 +70,7 @@ def thumbnail(result: object) -> Figure:
 
 
 def live_view(start: Any) -> AbstractContextManager[Any]:
-    """Return a sink that shows a run in the viewer.
+    """Return a sink for a closed loop that shows the run in the Rerun viewer while it lasts.
 
     Args:
         start: log of the run before its first row.

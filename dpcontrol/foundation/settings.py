@@ -25,16 +25,16 @@ from dpcontrol.foundation.units import unusual
 
 
 def suggest(value: str, choices: Iterable[str]) -> str:
-    """Return the allowed values as a text, the nearest spelling first.
+    """Return the allowed values as the end of an error's sentence, the nearest spelling first.
 
     Args:
         value: value given by the user.
         choices: allowed values.
     """
     choices = [str(choice) for choice in choices] or ["none"]
-    close = nearest(str(value), choices)
-    if close:
-        return f"did you mean {close!r}? Allowed: {', '.join(choices)}"
+    nearest_choice = nearest(str(value), choices)
+    if nearest_choice:
+        return f"did you mean {nearest_choice!r}? Allowed: {', '.join(choices)}"
     return f"allowed: {', '.join(choices)}"
 
 
@@ -62,9 +62,9 @@ def nearest(value: str, choices: Iterable[str]) -> str:
         value: value given by the user.
         choices: allowed values.
     """
-    spelt = {choice.casefold(): choice for choice in choices}
-    close = difflib.get_close_matches(value.casefold(), spelt, n=1)
-    return spelt[close[0]] if close else ""
+    by_folded_case = {choice.casefold(): choice for choice in choices}
+    matches = difflib.get_close_matches(value.casefold(), by_folded_case, n=1)
+    return by_folded_case[matches[0]] if matches else ""
 
 
 @dataclass(frozen=True)
@@ -102,15 +102,15 @@ class Setting:
     @property
     def range(self) -> str:
         """Allowed range, such as "0 to 1000 periods"."""
-        low = "" if self.least == -math.inf else f"at least {_digits(self.least)}"
-        low = f"more than {_digits(self.above)}" if self.above > -math.inf else low
-        text = ", ".join(filter(None, (low, f"at most {_digits(self.most)}" if self.most < math.inf else "")))
+        lower = "" if self.least == -math.inf else f"at least {_digits(self.least)}"
+        lower = f"more than {_digits(self.above)}" if self.above > -math.inf else lower
+        range_text = ", ".join(filter(None, (lower, f"at most {_digits(self.most)}" if self.most < math.inf else "")))
         if self.least > -math.inf and self.most < math.inf:
-            text = f"{_digits(self.least)} to {_digits(self.most)}"
+            range_text = f"{_digits(self.least)} to {_digits(self.most)}"
         unit = f" {self.unit}" if self.unit else ""
-        text = f"{text}{unit}" if text else "a finite number" + (f", in{unit}" if unit else "")
-        extremes = (("0", self.zero), ("inf", self.infinite))
-        return text + "".join(f", or {value} for {meaning}" for value, meaning in extremes if meaning)
+        range_text = f"{range_text}{unit}" if range_text else "a finite number" + (f", in{unit}" if unit else "")
+        special_values = (("0", self.zero), ("inf", self.infinite))
+        return range_text + "".join(f", or {value} for {meaning}" for value, meaning in special_values if meaning)
 
     def complaint(self, value: Any) -> str:
         """Return the error of a number or a text, or "" if it is allowed.
@@ -119,8 +119,8 @@ class Setting:
             value: value in `unit`.
         """
         if self.choices and not (self.bounded and isinstance(value, Real)):
-            more = f", or a number: {self.range}" if self.bounded else ""
-            return "" if value in self.choices else suggest(str(value), self.choices) + more
+            number_range = f", or a number: {self.range}" if self.bounded else ""
+            return "" if value in self.choices else suggest(str(value), self.choices) + number_range
         if not isinstance(value, Real):
             return "must be a number" if self.bounded else ""
         number: Any = value
@@ -156,12 +156,12 @@ class Setting:
         for item in value if isinstance(value, tuple | list) else (value,):
             if item is not None and (complaint := self.complaint(item)):
                 key = self.key or key
-                where = f"{table}: " if table else ""
-                raise InputError(f"{key} = {shortened(item)}: {complaint}", where=where, table=table, key=key)
+                place = f"{table}: " if table else ""
+                raise InputError(f"{key} = {shortened(item)}: {complaint}", where=place, table=table, key=key)
 
 
 def is_finite(value: Any) -> bool:
-    """Return True if a number fits in a finite double.
+    """Return True if a number is finite and fits in a double, which whole numbers of any size need not.
 
     Args:
         value: real number of any type.
@@ -173,6 +173,7 @@ def is_finite(value: Any) -> bool:
 
 
 def _digits(value: float) -> str:
+    """Return a number without needless digits, whole numbers in full."""
     return f"{value}" if isinstance(value, int) else f"{value:g}"
 
 
@@ -216,38 +217,51 @@ class Leaf:
         Raises:
             InputError: it is of another type, or out of bounds.
         """
-        key, read = key or self.name, _exactly(_plain(value), self.hint)
-        if read is MISSING:
+        key, result = key or self.name, _exactly(_plain(value), self.hint)
+        if result is MISSING:
             from pydantic import ValidationError
 
             try:
-                read = adapter(self.annotation).validate_python(_plain(value), strict=strict)
+                result = adapter(self.annotation).validate_python(_plain(value), strict=strict)
             except ValidationError as error:
                 raise InputError(self._complaint(key, value, error.errors(include_url=False)), key=key) from error
-        self.bounds.check(key, read)
-        return read
+        self.bounds.check(key, result)
+        return result
 
     def _complaint(self, key: str, value: Any, errors: Sequence[Mapping[str, Any]]) -> str:
-        """Return the sentence of pydantic's errors, of which a union has one for each of its types."""
-        inside = [error for error in errors if any(isinstance(step, int) for step in error["loc"])]
-        kinds = dict.fromkeys(str(_KINDS.get(error["type"], error["msg"])) for error in inside or errors)
-        assignment = f"{key} holds {shortened(inside[0]['input'])}" if inside else f"{key} = {shortened(value)}"
+        """Return the sentence for the user about a value that pydantic rejects.
+
+        Args:
+            key: name of the value in the message.
+            value: the rejected value.
+            errors: pydantic's errors, of which a union has one for each of its types.
+        """
+        # An error in an entry of a list has its index in its location; then the entry is shown, not the whole list.
+        entry_errors = [
+            error for error in errors if any(isinstance(key_or_index, int) for key_or_index in error["loc"])
+        ]
+        allowed_kinds = dict.fromkeys(str(_KINDS.get(error["type"], error["msg"])) for error in entry_errors or errors)
+        assignment = (
+            f"{key} holds {shortened(entry_errors[0]['input'])}" if entry_errors else f"{key} = {shortened(value)}"
+        )
         if self.bounds.choices:
             return f"{assignment}: {suggest(str(value), self.bounds.choices)}"
-        return f"{assignment}: must be {' or '.join(kinds)}" + (f", {self.bounds.range}" if self.bounds.bounded else "")
+        return f"{assignment}: must be {' or '.join(allowed_kinds)}" + (
+            f", {self.bounds.range}" if self.bounds.bounded else ""
+        )
 
     def schema(self) -> dict[str, Any]:
-        """Return the JSON Schema of the values."""
+        """Return the JSON Schema of the setting's values, by which editors check files."""
         bounds, schema = self.bounds, adapter(self.annotation).json_schema()
         limits = {"minimum": bounds.least, "exclusiveMinimum": bounds.above, "maximum": bounds.most}
         limits = {name: float(value) for name, value in limits.items() if math.isfinite(value)}
         if bounds.infinite:
             limits.pop("maximum", None)
-        for part in _nested(schema):
-            if part.get("type") in ("number", "integer"):
-                part.update({"anyOf": [{"const": 0}, limits]} if bounds.zero and limits else limits)
-            elif part.get("type") == "string" and bounds.choices:
-                part["enum"] = list(bounds.choices)
+        for subschema in _nested(schema):
+            if subschema.get("type") in ("number", "integer"):
+                subschema.update({"anyOf": [{"const": 0}, limits]} if bounds.zero and limits else limits)
+            elif subschema.get("type") == "string" and bounds.choices:
+                subschema["enum"] = list(bounds.choices)
         if self.default not in (MISSING, math.inf, None):
             schema["default"] = self.default
         return {**schema, "description": bounds.help + (f" Unit: {bounds.unit}." if bounds.unit else "")}
@@ -264,14 +278,14 @@ _KINDS = {
 
 
 def _nested(schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield a schema, its alternatives and the schemas of entries."""
+    """Yield a JSON Schema, its alternatives and the schemas of entries, all of which get the bounds of a setting."""
     yield schema
-    for part in (*schema.get("anyOf", ()), *((schema["items"],) if "items" in schema else ())):
-        yield from _nested(part)
+    for subschema in (*schema.get("anyOf", ()), *((schema["items"],) if "items" in schema else ())):
+        yield from _nested(subschema)
 
 
 def frozen(value: Any) -> Any:
-    """Return a value with tuples in place of lists.
+    """Return a value with tuples in place of lists, as the fields of frozen dataclasses have them.
 
     Args:
         value: value of TOML or JSON.
@@ -282,7 +296,10 @@ def frozen(value: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return tuples for lists, and whole numbers where floats are whole, for pydantic's strict types."""
+    """Return a value as the strict checks of pydantic accept it.
+
+    Lists become tuples, arrays and numbers of NumPy those of Python, and floats without a fraction whole numbers.
+    """
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, list | tuple):
         return tuple(map(_plain, value))
@@ -290,16 +307,23 @@ def _plain(value: Any) -> Any:
 
 
 def _exactly(value: Any, hint: Any) -> Any:
-    """Return a value as pydantic reads it if it has the very type, or MISSING: pydantic takes 0.1 s to import."""
+    """Return a value as pydantic would read it, if its type fits exactly, or else MISSING.
+
+    Most values need no pydantic, whose import takes 0.1 s.
+
+    Args:
+        value: value after `_plain`.
+        hint: type of the setting.
+    """
     if hint is float and type(value) in (int, float) and is_finite(value):
         return float(value)
     if type(value) is hint and hint is not float:
         return value
     if isinstance(hint, UnionType):
-        return next((read for one in get_args(hint) if (read := _exactly(value, one)) is not MISSING), MISSING)
+        return next((result for item in get_args(hint) if (result := _exactly(value, item)) is not MISSING), MISSING)
     if type(value) is tuple and get_origin(hint) is tuple and get_args(hint)[1:] == (...,):
-        entries = tuple(_exactly(one, get_args(hint)[0]) for one in value)
-        return MISSING if any(one is MISSING for one in entries) else entries
+        entries = tuple(_exactly(item, get_args(hint)[0]) for item in value)
+        return MISSING if any(item is MISSING for item in entries) else entries
     return MISSING
 
 
@@ -328,12 +352,15 @@ def leaves_of(kind: type) -> dict[str, Leaf]:
     """
     annotations = [inspect.get_annotations(ancestor, eval_str=True) for ancestor in kind.__mro__]
     leaves = {}
-    for declared in fields(kind):
-        hints = [
-            of_class[declared.name] for of_class in annotations if get_origin(of_class.get(declared.name)) is Annotated
+    for field in fields(kind):
+        declarations = [
+            hints_of_class[field.name]
+            for hints_of_class in annotations
+            if get_origin(hints_of_class.get(field.name)) is Annotated
         ]
-        if hints and isinstance(hints[0].__metadata__[-1], Setting):
-            leaves[declared.name] = Leaf(declared.name, hints[0], declared.default)
+        # The first declaration is that of the most derived class, which comes first in the order of resolution.
+        if declarations and isinstance(declarations[0].__metadata__[-1], Setting):
+            leaves[field.name] = Leaf(field.name, declarations[0], field.default)
     return leaves
 
 
@@ -343,6 +370,7 @@ class Settings:
     TABLE: ClassVar[str] = ""
 
     def __init_subclass__(cls, table: str | None = None, **options: Any) -> None:
+        """Set the table that messages name, which subclasses inherit."""
         super().__init_subclass__(**options)
         if table is not None:
             cls.TABLE = table
@@ -374,20 +402,23 @@ class Settings:
         Raises:
             InputError: an unknown name, or values out of bounds.
         """
-        changes, parts = dict[str, Any](), dict[str, dict[str, Any]]()
+        new_values, of_parts = dict[str, Any](), dict[str, dict[str, Any]]()
         for path, value in values.items():
-            part, _, rest = path.partition(".")
-            if rest:
-                parts.setdefault(part, {})[rest] = value
+            name_of_part, _, path_within = path.partition(".")
+            if path_within:
+                of_parts.setdefault(name_of_part, {})[path_within] = value
             else:
-                changes[part] = value
-        changes |= {part: getattr(self, part).with_(inside) for part, inside in parts.items()}
+                new_values[name_of_part] = value
         names = [setting.name for setting in fields(self) if setting.name != "kind"]  # type: ignore[arg-type]
-        for name in changes:
+        for name in (*new_values, *of_parts):
             if name not in names:
-                what = getattr(self, "kind", self.TABLE)
-                raise InputError(f"{self.TABLE}.{name}: {what} has no such setting; it has {', '.join(names)}")
-        return replace(self, **changes)  # type: ignore[type-var]
+                owner = getattr(self, "kind", self.TABLE)
+                raise InputError(f"{self.TABLE}.{name}: {owner} has no such setting; it has {', '.join(names)}")
+        new_values |= {
+            name_of_part: getattr(self, name_of_part).with_(values_within)
+            for name_of_part, values_within in of_parts.items()
+        }
+        return replace(self, **new_values)  # type: ignore[type-var]
 
     def of_each(self, name: str, arms: int) -> tuple[Any, ...]:
         """Return the values of a setting for each arm.
@@ -412,7 +443,7 @@ class Settings:
             key: field of the settings.
             complaint: what is wrong, such as "must be positive".
         """
-        where = f"{self.TABLE}: " if self.TABLE else ""
+        place = f"{self.TABLE}: " if self.TABLE else ""
         return InputError(
-            f"{key} = {shortened(getattr(self, key))}: {complaint}", where=where, table=self.TABLE, key=key
+            f"{key} = {shortened(getattr(self, key))}: {complaint}", where=place, table=self.TABLE, key=key
         )

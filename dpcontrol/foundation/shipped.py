@@ -24,7 +24,7 @@ def mappings() -> list[str]:
 
 
 def folders(kind: str) -> tuple[Path, Path]:
-    """Return the working folder's and the shipped folder.
+    """Return the folders that are searched for names: one in the working folder, and the shipped one.
 
     Args:
         kind: "models" or "itineraries".
@@ -34,7 +34,7 @@ def folders(kind: str) -> tuple[Path, Path]:
 
 
 def shipped_names(kind: str) -> list[str]:
-    """Return the names that need no path.
+    """Return the names of models or itineraries that need no path, in both folders.
 
     Args:
         kind: see `folders`.
@@ -43,7 +43,7 @@ def shipped_names(kind: str) -> list[str]:
 
 
 def find(kind: str, name: str) -> Path:
-    """Return the file of a model or an itinerary.
+    """Return the file of a model or an itinerary, which is given by name or by path.
 
     Args:
         kind: see `folders`.

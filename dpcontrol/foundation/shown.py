@@ -33,23 +33,24 @@ class Brief:
             cls.document = _in_json(vars(cls)["document"])  # type: ignore[attr-defined]
 
     def __repr__(self) -> str:
-        named = [(attribute.name, getattr(self, attribute.name)) for attribute in fields(self) if attribute.repr]  # type: ignore[arg-type]
-        parts = [f"{name}={text}" for name, value in named if (text := _summary(value))]
+        values = [(attribute.name, getattr(self, attribute.name)) for attribute in fields(self) if attribute.repr]  # type: ignore[arg-type]
+        parts = [f"{name}={text}" for name, value in values if (text := _summary(value))]
         return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def _in_json(document: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a method `document` whose values are those of JSON."""
+    """Wrap a method `document`, so that the values that it returns are those of JSON."""
 
     @wraps(document)
     def call(self: Any, *arguments: Any) -> Any:
+        """Return the document of an object as JSON values."""
         return plain(document(self, *arguments))
 
     return call
 
 
 def _summary(value: Any) -> str:
-    """Return a short text of a value, or "" if long."""
+    """Return a short text of a value for the one-line repr of a result, or "" if the value has none."""
     if isinstance(value, float):
         return f"{value:.6g}"
     if value is None or isinstance(value, bool | int):
@@ -59,8 +60,8 @@ def _summary(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"array {value.shape}"
     if isinstance(value, tuple | list | dict):
-        simple = not isinstance(value, dict) and all(isinstance(item, int | float | str) for item in value)
-        text = f"({', '.join(map(_summary, value))})" if simple else ""
+        has_short_items = not isinstance(value, dict) and all(isinstance(item, int | float | str) for item in value)
+        text = f"({', '.join(map(_summary, value))})" if has_short_items else ""
         return text if 0 < len(text) <= _LONGEST else f"{len(value)} items"
     return ""
 

@@ -75,7 +75,14 @@ def share_of(done: ArrayLike) -> Share:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Two controllers on the same seeds: successes of only one of them, and McNemar's p."""
+    """Outcomes of two controllers on the same seeds.
+
+    Attributes:
+        pairs: number of seeds.
+        only_first: number of seeds on which only the first one succeeded.
+        only_second: number of seeds on which only the second one succeeded.
+        p_value: probability of such a difference between equal controllers, by McNemar's exact test.
+    """
 
     pairs: int
     only_first: int
@@ -84,7 +91,7 @@ class Pairing:
 
 
 def paired(first: ArrayLike, second: ArrayLike) -> Pairing:
-    """Compare the outcomes of two controllers on the same seeds.
+    """Compare two controllers by the seeds on which only one of them succeeds, with McNemar's exact test.
 
     Args:
         first: outcomes (K,) of one controller, True for success.

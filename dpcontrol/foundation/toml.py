@@ -77,17 +77,22 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, number: int
     edited = edited[number - 1] if number else edited
     for key, value in values.items():
         edited[key] = _listed(value) if isinstance(value, list | tuple) else tomlkit.item(value)
-    out = tomlkit.dumps(document)
-    return out.replace("\r\n", "\n").replace("\n", "\r\n") if "\r\n" in text else out
+    new_text = tomlkit.dumps(document)
+    # tomlkit ends its new lines as on Unix.
+    return new_text.replace("\r\n", "\n").replace("\n", "\r\n") if "\r\n" in text else new_text
 
 
 def _listed(values: Sequence[Any]) -> Any:
-    """Return the item of a list, in which each text has a line."""
+    """Return a list as tomlkit's value of a key. Several texts have a line each, so that the file stays readable.
+
+    Args:
+        values: texts or numbers.
+    """
     # tomlkit parses a list in linear time, but appends to one in quadratic time.
     texts = [tomlkit.item(item).as_string() for item in values]
-    lines = len(values) > 1 and all(isinstance(item, str) for item in values)
-    inside = "".join(f"\n    {text}," for text in texts) + "\n" if lines else ", ".join(texts)
-    return tomlkit.value(f"[{inside}]")
+    line_for_each = len(values) > 1 and all(isinstance(item, str) for item in values)
+    content = "".join(f"\n    {text}," for text in texts) + "\n" if line_for_each else ", ".join(texts)
+    return tomlkit.value(f"[{content}]")
 
 
 @dataclass(frozen=True)
@@ -114,11 +119,12 @@ class Place:
         """Begin a block whose mistakes are at this place."""
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        # A mistake that is raised in the block gets this place at its beginning.
         if isinstance(error, InputError):
             raise error.under(f"{self} ", table=self.table) from error
 
     def error(self, key: str, value: Any, complaint: str) -> InputError:
-        """Return the error of a key's value.
+        """Return the error of a key's value at this place, as an exception to raise.
 
         Args:
             key: key of the table.
@@ -164,39 +170,40 @@ class Table:
         """
         if not isinstance(values, Mapping):
             raise Place(place.file).error(place.table, values, f"must be a table, [{place.table}]")
-        read, mistakes = dict[str, Any](), Mistakes()
+        values_read, mistakes = dict[str, Any](), Mistakes()
+        # A required key whose misspelt form is present is reported once, as unknown.
         misspelt = {nearest(key, self.keys) for key in values if key not in self.keys}
         for key, value in values.items():
             with mistakes:
-                part = self.keys.get(key)
-                if part is None:
+                declaration = self.keys.get(key)
+                if declaration is None:
                     at_top = "" if place.table else "at the top level, "
                     suggestion = suggest(key, sorted(filter(None, self.keys)))
                     raise place.refusal(f"{at_top}the key {shortened(key)} is unknown: {suggestion}", key)
-                if isinstance(part, Leaf):
+                if isinstance(declaration, Leaf):
                     with place:
-                        read[key] = part.read(value)
+                        values_read[key] = declaration.read(value)
                 else:
-                    read[key] = part.read(value, place.within(key), context)
-        for key, part in self.keys.items():
+                    values_read[key] = declaration.read(value, place.within(key), context)
+        for key, declaration in self.keys.items():
             with mistakes:
-                if part.required and key not in values and key not in misspelt:
+                if declaration.required and key not in values and key not in misspelt:
                     raise place.refusal(f"the key {key!r} is missing", key)
         mistakes.report()
         with place:
-            return self.make(read, context)
+            return self.make(values_read, context)
 
 
 @cache
 def table_of(kind: Any) -> Table:
-    """Return the table of a settings dataclass.
+    """Return the table of a file that makes a settings dataclass, with a key for each setting.
 
     Args:
         kind: dataclass derived from `Settings`; one with a `kind` allows this key with its value.
     """
     name = getattr(kind, "kind", "")
-    of_kind = {"kind": Leaf("kind", Annotated[str, Setting(choices=(name,), help="Kind.")], name)} if name else {}
-    return Table({**of_kind, **leaves_of(kind)}, lambda values, _: kind(**values))
+    kind_leaf = {"kind": Leaf("kind", Annotated[str, Setting(choices=(name,), help="Kind.")], name)} if name else {}
+    return Table({**kind_leaf, **leaves_of(kind)}, lambda values, _: kind(**values))
 
 
 @dataclass(frozen=True)
@@ -234,9 +241,9 @@ class Tables:
         if not (isinstance(values, list) and values and all(isinstance(table, dict) for table in values)):
             sentence = f"{place.table} = {shortened(values)}: must be tables, each under [[{place.table}]]"
             raise InputError(sentence, where=f"{place.file}: ", key=place.table)
-        mistakes, read = Mistakes(), list[Any]()
+        mistakes, objects = Mistakes(), list[Any]()
         for number, table in enumerate(values, start=1):
             with mistakes:
-                read.append(self.each.read(table, replace(place, number=number), context))
+                objects.append(self.each.read(table, replace(place, number=number), context))
         mistakes.report()
-        return tuple(read)
+        return tuple(objects)

@@ -59,9 +59,9 @@ def quantity(value: float, unit: str) -> str:
         value: number in `unit`.
         unit: unit without a prefix, such as "s".
     """
-    plain = not unit or "²" in unit or not unit[0].isalpha()
-    factor, shown = (1.0, unit) if plain else prefixed(abs(value), unit)
-    return f"{value * factor:.3g} {shown}".rstrip()
+    takes_no_prefix = not unit or "²" in unit or not unit[0].isalpha()
+    factor, prefixed_unit = (1.0, unit) if takes_no_prefix else prefixed(abs(value), unit)
+    return f"{value * factor:.3g} {prefixed_unit}".rstrip()
 
 
 class InUnits:
@@ -94,22 +94,26 @@ def unusual(key: str, values: Sequence[float], usual: tuple[float, float], unit:
         InputError: a value is impossible.
     """
     least, most = usual
-    of = f" {unit}" if unit else ""
+    unit_text = f" {unit}" if unit else ""
     for value in values:
         size = abs(value)
         if not size or least <= size <= most:
             continue
-        far = f"more than the usual {most:g}" if size > most else f"less than the usual {least:g}"
-        text = f"{key} = {value:g}{of} is {far}{of}"
+        deviation = f"more than the usual {most:g}" if size > most else f"less than the usual {least:g}"
+        text = f"{key} = {value:g}{unit_text} is {deviation}{unit_text}"
         impossible = size > _IMPOSSIBLE * most or size < _VANISHING * least
-        alternatives = {name: size * factor for name, factor in OTHER_UNITS.get(unit, {}).items()}
-        fitting = [f"{name} ({v:.3g}{of})" for name, v in alternatives.items() if least <= v <= most]
-        if fitting:
-            text += f"; is it given in {' or in '.join(fitting)}?"
+        alternatives = {other_unit: size * factor for other_unit, factor in OTHER_UNITS.get(unit, {}).items()}
+        plausible_units = [
+            f"{other_unit} ({converted:.3g}{unit_text})"
+            for other_unit, converted in alternatives.items()
+            if least <= converted <= most
+        ]
+        if plausible_units:
+            text += f"; is it given in {' or in '.join(plausible_units)}?"
         elif not impossible:
             text += "; check the value"
         if impossible:
             raise InputError(
-                text if fitting else f"{text}, which is impossible; give it in {unit or 'its unit'}", key=key
+                text if plausible_units else f"{text}, which is impossible; give it in {unit or 'its unit'}", key=key
             )
         yield text

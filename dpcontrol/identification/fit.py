@@ -63,11 +63,10 @@ _CLOSED = 1e-12
 
 
 class Swings:
-    """Integrator for swings of arms.
+    """Integrator for swings of arms and their sensitivities, which a fit of start and parameters needs.
 
-    The arms have the count, gravity and friction laws of `arms`.
-
-    Each call sets the values of the parameters. An instance must not be shared between threads.
+    The arms have the count, gravity and friction laws of `arms`. Each call sets the values of the parameters. An
+    instance must not be shared between threads.
     """
 
     def __init__(self, arms: ArmChainParameters) -> None:
@@ -85,7 +84,9 @@ class Swings:
         accelerations: Array | float = 0.0,
         velocities: Array | float = 0.0,
     ) -> tuple[Array, Array]:
-        """Return states (W, K, N) and sensitivities (W, K, N, N+m) from each start.
+        """Return states (W, K, N) and sensitivities (W, K, N, N+m) of W swings, integrated together from their starts.
+
+        The sensitivities are derivatives of each state by the swing's start (N,) and by the ratios (m,).
 
         Args:
             starts: initial states (W, N).
@@ -95,60 +96,65 @@ class Swings:
             accelerations: cart accelerations (W, K), m/s², constant between samples.
             velocities: cart velocities (W, K) at the samples, m/s.
         """
-        w, n, m = len(starts), self.states, self.parameters
-        size = n + n * (n + m)
+        count, n, m = len(starts), self.states, self.parameters
+        rows = n + n * (n + m)
         substeps = int(np.ceil(period.max() / LONGEST_STEP - 1e-9))
-        held, out = np.empty((size + m + 3, w)), np.empty((size, w))
-        held[:n] = starts.T
-        held[n:size] = np.eye(n, n + m).T.reshape(-1, 1)
-        held[size : size + m] = parameters[:, None]
-        held[size + m] = period / substeps
-        u, v = (np.broadcast_to(values, (w, samples)) for values in (accelerations, velocities))
-        every = np.empty((samples, size, w))
+        inputs, following = np.empty((rows + m + 3, count)), np.empty((rows, count))
+        # Rows: state, sensitivities column by column, ratios, step, then acceleration and velocity of the cart.
+        inputs[:n] = starts.T
+        inputs[n:rows] = np.eye(n, n + m).T.reshape(-1, 1)
+        inputs[rows : rows + m] = parameters[:, None]
+        inputs[rows + m] = period / substeps
+        u, v = (np.broadcast_to(values, (count, samples)) for values in (accelerations, velocities))
+        history = np.empty((samples, rows, count))
         step = _compiled(_nominal(self.arms))
-        every[0] = held[:size]
+        history[0] = inputs[:rows]
         for k in range(1, samples):
-            held[size + m + 1], held[size + m + 2] = u[:, k - 1], v[:, k - 1]
+            inputs[rows + m + 1], inputs[rows + m + 2] = u[:, k - 1], v[:, k - 1]
             for _ in range(substeps):
-                step(held, out)
-                held[:size] = out
-                held[size + m + 2] += held[size + m] * held[size + m + 1]
-            every[k] = out
-        states = every[:, :n].transpose(2, 0, 1)
-        return states, every[:, n:].reshape(samples, n + m, n, w).transpose(3, 0, 2, 1)
+                step(inputs, following)
+                inputs[:rows] = following
+                inputs[rows + m + 2] += inputs[rows + m] * inputs[rows + m + 1]
+            history[k] = following
+        states = history[:, :n].transpose(2, 0, 1)
+        return states, history[:, n:].reshape(samples, n + m, n, count).transpose(3, 0, 2, 1)
 
 
 def _nominal(arms: ArmChainParameters) -> ArmChainParameters:
-    """Return arms that represent all of the same count, gravity, friction laws and smoothing."""
+    """Return arms that represent all of the same count, gravity, friction laws and smoothing, which share one step."""
     names = ("mass", "centre_of_mass", "length", "inertia", "viscous", *arms.friction)
     return replace(arms, **dict.fromkeys(names, (1.0,) * arms.count))
 
 
 @cache
 def _compiled(arms: ArmChainParameters) -> Compiled:
-    """Return the compiled step of all swings.
+    """Return the compiled Runge-Kutta step of state and sensitivities, of all swings at once.
 
-    It maps (x, vec S, p, (h, u, v)) to (x, vec S). Compiling takes longer than most fits.
+    It maps (x, vec S, p, (h, u, v)) to (x, vec S), see the head of this module; h is the step, u and v are acceleration
+    and velocity of the cart. Compiling takes longer than most fits.
     """
     n, m = 2 * arms.count, len(ratio_names(arms))
     rate = equations_of(arms, Level.CART).function()
-    x, p, drive = ca.SX.sym("x", n), ca.SX.sym("p", m), ca.SX.sym("drive", 3)
+    start, ratios, drive = ca.SX.sym("x", n), ca.SX.sym("p", m), ca.SX.sym("drive", 3)
     h, u, velocity = drive[0], drive[1], drive[2]
-    base = ca.vertcat(*base_from_ratios(p, arms))
+    base = ca.vertcat(*base_from_ratios(ratios, arms))
 
     def slope(state: ca.SX, after: Any) -> ca.SX:
+        """Return the rate of the arms' state, `after` s into the step, as the cart's velocity grows with u."""
         return rate(ca.vertcat(state, 0, velocity + after * u), u, base)[:n]
 
-    following = runge_kutta_4(slope, x, h)
-    s = ca.SX.sym("S", n, n + m)
-    forward = ca.jacobian(following, x) @ s + ca.horzcat(ca.SX.zeros(n, n), ca.jacobian(following, p))
-    out = ca.cse(ca.densify(ca.vertcat(following, ca.vec(forward))))
-    return Compiled(ca.Function("swing", [ca.vertcat(x, ca.vec(s)), p, drive], [out]))
+    following = runge_kutta_4(slope, start, h)
+    sensitivity = ca.SX.sym("S", n, n + m)
+    next_sensitivity = ca.jacobian(following, start) @ sensitivity + ca.horzcat(
+        ca.SX.zeros(n, n), ca.jacobian(following, ratios)
+    )
+    next_values = ca.cse(ca.densify(ca.vertcat(following, ca.vec(next_sensitivity))))
+    return Compiled(ca.Function("swing", [ca.vertcat(start, ca.vec(sensitivity)), ratios, drive], [next_values]))
 
 
 @dataclass(frozen=True, eq=False)
 class Swing(Brief):
-    """K measured samples of one uninterrupted swing."""
+    """K measured samples of one uninterrupted swing, to which states and ratios are fitted."""
 
     angles: Array
     """Absolute angles (K, n) from hanging, rad; NaN where a reading is missing."""
@@ -163,11 +169,11 @@ class Swing(Brief):
 
     @property
     def drive(self) -> Array:
-        """Accelerations and velocities of the cart (2, K)."""
+        """Accelerations, m/s², and velocities, m/s, of the cart at each sample (2, K)."""
         return np.stack([np.broadcast_to(values, len(self.angles)) for values in (self.accelerations, self.velocities)])
 
     def edges(self, length: float) -> NDArray[np.intp]:
-        """Return the rows at which windows of about `length` s begin and end.
+        """Return the samples at which shooting windows of about `length` s begin and end (windows + 1,).
 
         Args:
             length: duration of a window, s.
@@ -177,7 +183,7 @@ class Swing(Brief):
         return np.linspace(0, count - 1, pieces + 1).round().astype(int)
 
     def guess(self, rows: Sequence[int] | NDArray[np.intp]) -> Array:
-        """Return states (R, 2n) from the measured angles.
+        """Return states (R, 2n) from the measured angles, as first guesses of the windows' starts.
 
         Missing angles are interpolated, and rates come from a local polynomial.
 
@@ -194,29 +200,35 @@ def filled(angles: Array) -> Array:
     Args:
         angles: angles (K, n), rad; NaN where a reading is missing.
     """
-    out = np.zeros_like(angles)
-    for column, values in zip(out.T, angles.T, strict=True):
+    complete = np.zeros_like(angles)
+    for column, values in zip(complete.T, angles.T, strict=True):
         finite = np.flatnonzero(np.isfinite(values))
         if len(finite):
             column[:] = np.interp(np.arange(len(values)), finite, values[finite])
-    return out
+    return complete
 
 
 class Windows:
-    """All swings, cut into windows of about `length` s that are integrated together.
+    """All swings, cut into windows of about `length` s that are integrated together: the model of `fit_windows`.
 
     Attributes:
         windows: windows of each swing, by number.
         first: row of its swing at which each window begins.
         last: row of its swing at which each window ends.
+        samples: samples K of the longest window.
+        periods: sampling period of each window (W,), s.
+        drive: the cart's accelerations, m/s², and velocities, m/s (2, W, K), zero after the end of a window.
     """
 
     def __init__(self, swings: list[Swing], model: Swings, length: float) -> None:
         self.swings, self.model = swings, model
         edges = [swing.edges(length) for swing in swings]
         counts = [len(rows) - 1 for rows in edges]
-        self.windows: Sequence[range] = [range(a, b) for a, b in pairwise(np.cumsum([0, *counts]).tolist())]
-        self.first, self.last = (np.concatenate(rows) for rows in zip(*((e[:-1], e[1:]) for e in edges), strict=True))
+        self.windows: Sequence[range] = [range(begin, end) for begin, end in pairwise(np.cumsum([0, *counts]).tolist())]
+        self.first, self.last = (
+            np.concatenate(rows)
+            for rows in zip(*((swing_edges[:-1], swing_edges[1:]) for swing_edges in edges), strict=True)
+        )
         self.samples = int((self.last - self.first).max()) + 1
         self.periods = np.repeat([swing.period for swing in swings], counts)
         self.drive = np.zeros((2, len(self.first), self.samples))
@@ -226,12 +238,12 @@ class Windows:
                 self.drive[:, w, : rows.stop - rows.start] = swing.drive[:, rows]
 
     def guess(self) -> Array:
-        """Return starts (W, 2n) from the measured angles."""
+        """Return the windows' starts (W, 2n) from the measured angles, as a first guess."""
         pairs = zip(self.swings, self.windows, strict=True)
         return np.concatenate([swing.guess(self.first[w.start : w.stop]) for swing, w in pairs])
 
     def linearised(self, starts: Array, values: Array, unknowns: NDArray[np.intp]) -> Linearised:
-        """Integrate all windows and chain their derivatives along each swing.
+        """Integrate all windows and chain their derivatives along each swing, as Gauss-Newton steps require.
 
         Args:
             starts: initial states (W, 2n) of the windows.
@@ -244,37 +256,38 @@ class Windows:
         states, slopes = model.flown(
             starts, values[:m], period=self.periods, samples=self.samples, accelerations=u, velocities=v
         )
-        zeros, inside = values[m:].reshape(-1, arms), unknowns < m
-        out = Linearised([], finite=bool(np.isfinite(states).all() and np.isfinite(slopes).all()))
+        zeros, is_ratio = values[m:].reshape(-1, arms), unknowns < m
+        linearised = Linearised([], finite=bool(np.isfinite(states).all() and np.isfinite(slopes).all()))
         for swing, windows in zip(self.swings, self.windows, strict=True):
             shape = swing.angles.shape
-            chain = LinearisedStretch(np.empty(shape), np.empty(shape), np.zeros((*shape, n + len(unknowns))), [], [])
-            node, offset = np.eye(n, n + len(unknowns)), np.zeros(n)
+            stretch = LinearisedStretch(np.empty(shape), np.empty(shape), np.zeros((*shape, n + len(unknowns))), [], [])
+            # A window's start is N_j (x_0, p) + d_j, see `dpcontrol.identification.windows`.
+            start_slope, offset = np.eye(n, n + len(unknowns)), np.zeros(n)
             for w in windows:
-                chain.nodes.append(node)
-                chain.offsets.append(offset)
+                stretch.nodes.append(start_slope)
+                stretch.offsets.append(offset)
                 rows, k = slice(self.first[w], self.last[w] + 1), self.last[w] - self.first[w]
                 jacobian = slopes[w, : k + 1, :arms]
-                chain.residual[rows] = swing.angles[rows] - states[w, : k + 1, :arms] - zeros[swing.group]
-                chain.reduced[rows] = chain.residual[rows] - jacobian[..., :n] @ offset
-                chain.slope[rows] = jacobian[..., :n] @ node
-                chain.slope[rows, :, n:][..., inside] += jacobian[..., n + unknowns[inside]]
+                stretch.residual[rows] = swing.angles[rows] - states[w, : k + 1, :arms] - zeros[swing.group]
+                stretch.reduced[rows] = stretch.residual[rows] - jacobian[..., :n] @ offset
+                stretch.slope[rows] = jacobian[..., :n] @ start_slope
+                stretch.slope[rows, :, n:][..., is_ratio] += jacobian[..., n + unknowns[is_ratio]]
                 end = slopes[w, k]
-                node, offset = end[:, :n] @ node, end[:, :n] @ offset
-                node[:, n:][:, inside] += end[:, n + unknowns[inside]]
+                start_slope, offset = end[:, :n] @ start_slope, end[:, :n] @ offset
+                start_slope[:, n:][:, is_ratio] += end[:, n + unknowns[is_ratio]]
                 if w != windows[-1]:
                     jump = states[w, k] - starts[w + 1]
                     offset = offset + jump
-                    out.gaps += float(np.maximum(np.abs(jump) - _CLOSED, 0.0).sum())
-                    out.gap = max(out.gap, float(np.abs(jump).max()))
+                    linearised.gaps += float(np.maximum(np.abs(jump) - _CLOSED, 0.0).sum())
+                    linearised.gap = max(linearised.gap, float(np.abs(jump).max()))
             for column, index in enumerate(unknowns):
                 if index >= m and (index - m) // arms == swing.group:
-                    chain.slope[:, (index - m) % arms, n + column] = 1.0
+                    stretch.slope[:, (index - m) % arms, n + column] = 1.0
             missing = ~np.isfinite(swing.angles)
-            for part in chain[:3]:
-                part[missing] = 0.0
-            out.stretches.append(chain)
-        return out
+            for array in stretch[:3]:
+                array[missing] = 0.0
+            linearised.stretches.append(stretch)
+        return linearised
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,20 +321,20 @@ def fit_swings(
         settings: windows, robust loss and convergence.
         near: first guess (W, 2n) of the windows' starts, default the measured angles.
     """
-    cut = Windows(swings, model, settings.window)
+    cut_swings = Windows(swings, model, settings.window)
     m, arms = model.parameters, model.arms.count
     values = np.concatenate([parameters, zeros.ravel()])
-    least = np.full(len(values), -np.inf)
-    least[inertial_count(arms) : m] = 0.0
-    starts = cut.guess() if near is None else near
+    lower_bounds = np.full(len(values), -np.inf)
+    lower_bounds[inertial_count(arms) : m] = 0.0
+    starts = cut_swings.guess() if near is None else near
     if near is None:
-        for windows, swing in zip(cut.windows, swings, strict=True):
+        for windows, swing in zip(cut_swings.windows, swings, strict=True):
             starts[windows, :arms] -= zeros[swing.group]
     fit = fit_windows(
-        cut,
+        cut_swings,
         values,
         np.flatnonzero([*free, *[free_zeros] * zeros.size]),
-        bounds=(least, np.full(len(values), np.inf)),
+        bounds=(lower_bounds, np.full(len(values), np.inf)),
         settings=settings,
         starts=starts,
     )
@@ -337,7 +350,7 @@ def fit_starts(
     settings: FitSettings,
     near: Array | None = None,
 ) -> SwingFit:
-    """Fit only the swings' starts, by least squares.
+    """Fit only the swings' starts, by least squares, to judge given parameters by the residuals.
 
     Args:
         model: integrator of the arms.
@@ -404,7 +417,7 @@ class Experiment(Brief):
 
     @property
     def text(self) -> str:
-        """Return an instruction for the experiment."""
+        """Instruction for the experiment, such as "release at 90°, 0°"."""
         if self.kind == "swing":
             return "release at " + ", ".join(f"{np.degrees(a):.0f}°" for a in self.angles)
         return f"sinusoidal cart acceleration of {self.amplitude:g} m/s² at {self.frequency:g} Hz"
@@ -443,12 +456,12 @@ class Design(Documented):
 
     @property
     def best(self) -> list[Experiment]:
-        """The five most informative usable experiments."""
+        """The five most informative usable experiments, for a list."""
         return self.ranked()[:5]
 
 
 def digits(matrix: Array) -> float:
-    """Return the digits of an information matrix, ½ log₁₀ det / f.
+    """Return the digits of an information matrix, ½ log₁₀ det / f, by which experiments are compared.
 
     Args:
         matrix: information matrix (f, f).
@@ -476,24 +489,28 @@ def design_experiments(
     settings = settings or DesignSettings()
     n = arms.count
     values = base_ratios(arms)
-    used = np.flatnonzero(values)
-    half = np.linspace(-np.pi, np.pi, 2 * settings.steps + 1)[1:-1]
+    fitted_ratios = np.flatnonzero(values)
+    half_turns = np.linspace(-np.pi, np.pi, 2 * settings.steps + 1)[1:-1]
     # A mirrored swing gives the same information, so the first angle is positive. Upright arms at rest do not move.
-    grid = [a for a in product(half[half > -1e-9], *[half] * (n - 1)) if np.abs(a).max() > 1e-9]
+    grid = [
+        angle_set
+        for angle_set in product(half_turns[half_turns > -1e-9], *[half_turns] * (n - 1))
+        if np.abs(angle_set).max() > 1e-9
+    ]
     sines = list(product(settings.amplitudes, settings.frequencies))
     times = np.arange(round(settings.seconds / settings.period) + 1) * settings.period
-    plans = [("swing", a, 0.0, 0.0) for a in grid] + [("cart", (0.0,) * n, *sine) for sine in sines]
+    plans = [("swing", angle_set, 0.0, 0.0) for angle_set in grid] + [("cart", (0.0,) * n, *sine) for sine in sines]
     starts = np.zeros((len(plans), 2 * n))
-    u, v = np.zeros((2, len(plans), len(times)))
-    for row, (kind, angles, amplitude, frequency) in enumerate(plans):
-        starts[row, :n] = angles
+    accelerations, velocities = np.zeros((2, len(plans), len(times)))
+    for number, (kind, angles, amplitude, frequency) in enumerate(plans):
+        starts[number, :n] = angles
         if kind == "swing":
             continue
-        turning = 2 * np.pi * frequency
-        u[row] = amplitude * np.cos(turning * (times + settings.period / 2))
-        v[row] = amplitude / turning * np.sin(turning * times)
+        angular_frequency = 2 * np.pi * frequency
+        accelerations[number] = amplitude * np.cos(angular_frequency * (times + settings.period / 2))
+        velocities[number] = amplitude / angular_frequency * np.sin(angular_frequency * times)
     model = Swings(arms)
-    gains: list[tuple[Array, float]] = []
+    informations: list[tuple[Array, float]] = []
     for first in range(0, len(starts), _LANES):
         progress("swings", first / len(starts))
         rows = slice(first, first + _LANES)
@@ -502,47 +519,50 @@ def design_experiments(
             values,
             period=np.full(len(starts[rows]), settings.period),
             samples=len(times),
-            accelerations=u[rows],
-            velocities=v[rows],
+            accelerations=accelerations[rows],
+            velocities=velocities[rows],
         )
-        gains += [_information(slope[:, :n], values, used, settings.counts) for slope in slopes]
+        informations += [_information(slope[:, :n], values, fitted_ratios, settings.counts) for slope in slopes]
     progress("swings", 1.0)
     experiments: list[Experiment] = []
-    for (kind, angles, amplitude, frequency), (matrix, growth) in zip(plans, gains, strict=True):
-        reach = amplitude / (2 * np.pi * frequency) ** 2 if kind == "cart" else 0.0
+    for (kind, angles, amplitude, frequency), (matrix, growth) in zip(plans, informations, strict=True):
+        cart_amplitude = amplitude / (2 * np.pi * frequency) ** 2 if kind == "cart" else 0.0
         information = digits(matrix)
-        usable = growth < _CHAOTIC and 2 * reach <= settings.track and bool(np.isfinite(information))
-        turns = tuple(float(angle) for angle in angles)
-        experiments.append(Experiment(kind, turns, amplitude, frequency, information, growth, usable, matrix))
+        usable = growth < _CHAOTIC and 2 * cart_amplitude <= settings.track and bool(np.isfinite(information))
+        release_angles = tuple(float(angle) for angle in angles)
+        experiments.append(Experiment(kind, release_angles, amplitude, frequency, information, growth, usable, matrix))
     usable = sum(e.usable for e in experiments)
     if not usable:
         raise InputError("no experiment is usable, since none determines the arms' ratios; check the model's friction")
-    left_out = [ratio_names(arms)[k] for k in range(len(values)) if k not in used]
-    without = f"; zero ratios are not fitted: {', '.join(left_out)}" if left_out else ""
+    left_out = [ratio_names(arms)[k] for k in range(len(values)) if k not in fitted_ratios]
+    omission = f"; zero ratios are not fitted: {', '.join(left_out)}" if left_out else ""
     return Design(
-        names=tuple(ratio_names(arms)[k] for k in used),
+        names=tuple(ratio_names(arms)[k] for k in fitted_ratios),
         experiments=tuple(experiments),
         settings=settings,
         status=f"{usable} of {len(experiments)} experiments are usable: an error of the start grows less than "
-        f"{_CHAOTIC:g}-fold, and the cart stays on its track{without}",
+        f"{_CHAOTIC:g}-fold, and the cart stays on its track{omission}",
     )
 
 
 def _information(slopes: Array, values: Array, used: NDArray[np.intp], counts: int) -> tuple[Array, float]:
-    """Return the information (f, f) on the logarithms of the ratios in use, and the growth of errors.
+    """Return the information (f, f) on the logarithms of the ratios in use, and the growth of errors of the start.
 
     Args:
         slopes: derivatives (K, n, 2n+m) of the angles by start and ratios.
+        values: ratios (m,).
+        used: indices (f,) of the ratios in use, which are not zero.
+        counts: encoder counts per turn, whose rounding is the noise.
     """
     samples, arms, _ = slopes.shape
     sigma = 2 * np.pi / counts / np.sqrt(12)
-    of_start = slopes[:, :, : 2 * arms]
-    growth = float(np.linalg.norm(of_start[:, :, :arms], axis=(1, 2)).max() / np.sqrt(arms))
+    by_start = slopes[:, :, : 2 * arms]
+    growth = float(np.linalg.norm(by_start[:, :, :arms], axis=(1, 2)).max() / np.sqrt(arms))
     if not np.isfinite(slopes).all():
         return np.zeros((len(used), len(used))), np.inf
     zeros = np.broadcast_to(np.eye(arms), (samples, arms, arms))
-    of_swing = np.concatenate([of_start, zeros], axis=2).reshape(samples * arms, -1)
-    shared = slopes[:, :, 2 * arms :][:, :, used].reshape(samples * arms, -1) * values[used]
+    by_own_unknowns = np.concatenate([by_start, zeros], axis=2).reshape(samples * arms, -1)
+    by_log_ratios = slopes[:, :, 2 * arms :][:, :, used].reshape(samples * arms, -1) * values[used]
     # Projection onto the complement of the recording's own unknowns.
-    rest = shared - of_swing @ np.linalg.lstsq(of_swing, shared, rcond=1e-10)[0]
-    return rest.T @ rest / sigma**2, growth
+    projected = by_log_ratios - by_own_unknowns @ np.linalg.lstsq(by_own_unknowns, by_log_ratios, rcond=1e-10)[0]
+    return projected.T @ projected / sigma**2, growth

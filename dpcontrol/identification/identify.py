@@ -49,7 +49,16 @@ _STILL = 1e-3
 
 @dataclass(frozen=True)
 class Segment:
-    """A segment of a log: running index, log, first time s, length s, used for the fit or held out, rms rad."""
+    """A piece of a recording in an identification.
+
+    Attributes:
+        index: running index.
+        log: name of the recording.
+        start: time of its first sample, s.
+        seconds: length, s.
+        used: True if the laws were fitted to it, False if it was held out.
+        rms: root mean square residual, rad.
+    """
 
     index: int
     log: str
@@ -66,7 +75,7 @@ _FEWEST = 10
 def cut_into_swings(
     recordings: Sequence[Recording], arms: int, longest: float | None
 ) -> tuple[list[Swing], list[Segment]]:
-    """Return the recordings' segments as swings, with long ones cut into equal pieces.
+    """Return the recordings' segments as swings for the fit, and their descriptions; long ones are cut equally.
 
     Args:
         recordings: the recordings.
@@ -77,7 +86,7 @@ def cut_into_swings(
         InputError: a recording has another number of arms, or hardly moves.
     """
     swings: list[Swing] = []
-    about: list[Segment] = []
+    segments: list[Segment] = []
     for group, recording in enumerate(recordings):
         if recording.arms != arms:
             raise InputError(
@@ -85,26 +94,26 @@ def cut_into_swings(
             )
         for part in recording.split():
             cart = cart_motion(part)
-            most = longest or (LONGEST if cart is None else LONGEST_DRIVEN)
-            pieces = max(int(np.ceil((len(part.time) - 1) * part.dt / most)), 1)
+            longest_piece = longest or (LONGEST if cart is None else LONGEST_DRIVEN)
+            pieces = max(int(np.ceil((len(part.time) - 1) * part.dt / longest_piece)), 1)
             if len(part.time) < _FEWEST * pieces:
                 raise InputError(
                     f"{recording.name} has {len(part.time)} samples in a segment, one every {part.dt:g} s, fitted "
-                    f"in pieces of {most:g} s; a piece needs {_FEWEST}: record faster, or omit the segment"
+                    f"in pieces of {longest_piece:g} s; a piece needs {_FEWEST}: record faster, or omit the segment"
                 )
             edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
-            for a, b in pairwise(edges):
+            for first, end in pairwise(edges):
                 # Turns counted before a segment are irrelevant.
-                angles = part.angles[a:b] - 2 * np.pi * np.rint(filled(part.angles[a:b])[0] / (2 * np.pi))
-                driven = () if cart is None else (cart.acceleration[a:b], cart.velocity[a:b])
-                swings.append(Swing(angles, part.dt, group, *driven))
-                seconds = float((b - a - 1) * part.dt)
-                about.append(Segment(len(about), recording.name, float(part.time[a]), seconds, True, np.nan))
+                angles = part.angles[first:end] - 2 * np.pi * np.rint(filled(part.angles[first:end])[0] / (2 * np.pi))
+                cart_drive = () if cart is None else (cart.acceleration[first:end], cart.velocity[first:end])
+                swings.append(Swing(angles, part.dt, group, *cart_drive))
+                seconds = float((end - first - 1) * part.dt)
+                segments.append(Segment(len(segments), recording.name, float(part.time[first]), seconds, True, np.nan))
     if max(float(np.ptp(filled(s.angles), axis=0).max()) for s in swings) < _STILL:
         raise InputError(
             f"no angle moves by more than {_STILL:g} rad: there is nothing to identify; record free swings"
         )
-    return swings, about
+    return swings, segments
 
 
 ALIKE = 0.95
@@ -112,7 +121,7 @@ ALIKE = 0.95
 
 
 def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return covariance (f, f) and standard errors (f,) of the unknowns.
+    """Return covariance (f, f) and standard errors (f,) of the unknowns, some of which the fit left at a bound.
 
     Unknowns at a bound, `bound` (f,), count as fixed for the others and have no variance. Their own standard errors
     ignore the bound.
@@ -129,7 +138,7 @@ def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array
 def undetermined_of(
     names: Sequence[str], values: Array, errors: Array, *, covariance: Array, friction: NDArray[np.bool_]
 ) -> list[str]:
-    """Return sentences on undetermined numbers (f,) and indistinguishable pairs.
+    """Return sentences on undetermined numbers (f,) and indistinguishable pairs, as warnings for the user of a model.
 
     Args:
         names: names of the numbers (f,).
@@ -149,12 +158,12 @@ def undetermined_of(
     with np.errstate(invalid="ignore"):
         correlation = correlation_of(covariance)
     for i, j in np.argwhere(np.tril(np.abs(correlation) >= ALIKE, -1)):
-        alike = correlation[i, j]
-        factor = np.sqrt((1 + abs(alike)) / max(1 - abs(alike), 1e-12))
-        kind = "sum" if alike < 0 else "difference"
+        coefficient = correlation[i, j]
+        factor = np.sqrt((1 + abs(coefficient)) / max(1 - abs(coefficient), 1e-12))
+        kind = "sum" if coefficient < 0 else "difference"
         sentences.append(
-            f"{names[j]} and {names[i]} are not distinguishable (correlation {alike:+.3f}): their {kind}, each over "
-            f"its standard error, is determined {factor:.0f} times better than the orthogonal combination"
+            f"{names[j]} and {names[i]} are not distinguishable (correlation {coefficient:+.3f}): their {kind}, "
+            f"each over its standard error, is determined {factor:.0f} times better than the orthogonal combination"
         )
     return sentences
 
@@ -195,14 +204,22 @@ class IdentificationSettings(Settings, table="identify"):
     fit: FitSettings = field(default_factory=FitSettings)
 
     def _check_together(self) -> None:
-        """Check that there are laws to try."""
+        """Raise an InputError unless there are laws to try."""
         if not self.laws:
             raise self.refusal("laws", "must name at least one set, () for viscous friction alone")
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate(Brief):
-    """A set of terms, its fit, and its rms errors (L,) on each held-out segment, in rad."""
+    """A choice of friction laws and zeros, with its fit, to be compared by the errors on held-out segments.
+
+    Attributes:
+        laws: laws in addition to the viscous one.
+        zeros: True if encoder zeros were fitted.
+        left_out: rms errors (L,) on each held-out segment, rad.
+        fit: fit to the other segments.
+        predicted: fit of the held-out segments' starts alone.
+    """
 
     laws: tuple[Friction, ...]
     zeros: bool
@@ -318,34 +335,34 @@ def identify(
         GoalMissed: no candidate could be fitted.
     """
     settings = settings or IdentificationSettings()
-    swings, about = cut_into_swings(recordings, start.count, settings.longest)
+    swings, segments = cut_into_swings(recordings, start.count, settings.longest)
     used = np.array([k % settings.left_out != settings.left_out - 1 for k in range(len(swings))])
     if used.all():
         raise InputError(
             f"{len(swings)} segments: one in {settings.left_out} is held out for the choice of laws; give at "
             f"least {settings.left_out}"
         )
-    fitted, left_out = ([swings[k] for k in np.flatnonzero(which)] for which in (used, ~used))
+    fitted, left_out = ([swings[k] for k in np.flatnonzero(selection)] for selection in (used, ~used))
     candidates, reasons = _candidates(fitted, left_out, start, settings, progress)
-    nothing = np.zeros((1 + max(s.group for s in swings), start.count))
-    before = fit_starts(
-        Swings(start), left_out, parameters=base_ratios(start), zeros=nothing, settings=settings.fit
+    no_zeros = np.zeros((1 + max(s.group for s in swings), start.count))
+    start_rms = fit_starts(
+        Swings(start), left_out, parameters=base_ratios(start), zeros=no_zeros, settings=settings.fit
     ).rms
     chosen = choose(candidates)
     best = candidates[chosen]
     arms = with_laws(start, best.laws)
     names, values = ratio_names(arms), best.fit.parameters
     if best.zeros:
-        of = [f" {recording.name}" if len(recordings) > 1 else "" for recording in recordings]
-        names = (*names, *(f"zero_{i + 1}{name}" for name in of for i in range(start.count)))
+        suffixes = [f" {recording.name}" if len(recordings) > 1 else "" for recording in recordings]
+        names = (*names, *(f"zero_{i + 1}{name}" for name in suffixes for i in range(start.count)))
         values = np.concatenate([values, best.fit.zeros.ravel()])
-    rubbing = np.arange(len(values)) >= inertial_count(arms.count)
-    rubbing[len(best.fit.parameters) :] = False
-    covariance, errors = covariance_at_bounds(best.fit, rubbing & (values <= 0))
-    of_used, of_left = iter(best.fit.residuals), iter(best.predicted.residuals)
-    residuals = [next(of_used if segment else of_left) for segment in used]
+    is_friction = np.arange(len(values)) >= inertial_count(arms.count)
+    is_friction[len(best.fit.parameters) :] = False
+    covariance, errors = covariance_at_bounds(best.fit, is_friction & (values <= 0))
+    used_residuals, held_out_residuals = iter(best.fit.residuals), iter(best.predicted.residuals)
+    residuals = [next(used_residuals if segment else held_out_residuals) for segment in used]
     progress("done", 1.0)
-    failed = f"; {len(reasons)} candidates failed ({reasons[0]})" if reasons else ""
+    failures = f"; {len(reasons)} candidates failed ({reasons[0]})" if reasons else ""
     return Identification(
         arms=nearest_arms(best.fit.parameters, arms),
         names=names,
@@ -356,18 +373,18 @@ def identify(
         undetermined=(
             f"{unit_name(arms.count)} itself: if masses, inertias and friction all grow in proportion, the arms "
             "swing the same; only ratios to it are identifiable",
-            *undetermined_of(names, values, errors, covariance=covariance, friction=rubbing),
+            *undetermined_of(names, values, errors, covariance=covariance, friction=is_friction),
         ),
         candidates=tuple(candidates),
         chosen=chosen,
-        started_at=before,
+        started_at=start_rms,
         segments=tuple(
             replace(segment, used=bool(fitted_to), rms=float(np.sqrt((residual**2).mean())))
-            for segment, fitted_to, residual in zip(about, used, residuals, strict=True)
+            for segment, fitted_to, residual in zip(segments, used, residuals, strict=True)
         ),
         swings=tuple(swings),
         residuals=tuple(residuals),
-        status=f"{' + '.join(best.terms)}: {best.fit.status}{failed}",
+        status=f"{' + '.join(best.terms)}: {best.fit.status}{failures}",
     )
 
 
@@ -378,14 +395,20 @@ def _candidates(
     settings: IdentificationSettings,
     progress: Progress,
 ) -> tuple[list[Candidate], list[str]]:
-    """Return the candidates that converged, for each choice of laws and zeros, and the reasons of the others."""
+    """Return the candidates that converged, for each choice of laws and zeros, and the reasons of the others.
+
+    `fitted` are the swings to fit, `left_out` those held out, and `start` the arms of the starting model.
+
+    Raises:
+        GoalMissed: no candidate converged.
+    """
     choices = {"free": (True,), "none": (False,), "chosen": (False, True)}[settings.zeros]
-    ways = [(laws, zeros) for laws in settings.laws for zeros in choices]
+    choices_of_terms = [(laws, zeros) for laws in settings.laws for zeros in choices]
     candidates: list[Candidate] = []
     reasons: list[str] = []
-    for number, (laws, zeros) in enumerate(ways):
-        doing = ", ".join(["viscous", *laws, *(["zeros"] if zeros else [])])
-        progress(f"fit {doing}", number / (len(ways) + 1))
+    for number, (laws, zeros) in enumerate(choices_of_terms):
+        terms = ", ".join(["viscous", *laws, *(["zeros"] if zeros else [])])
+        progress(f"fit {terms}", number / (len(choices_of_terms) + 1))
         near = candidates[-1] if candidates and candidates[-1].laws == laws else None
         candidate = _fitted(fitted, left_out, with_laws(start, laws), zeros, settings.fit, near)
         if candidate.fit.converged and candidate.predicted.converged:
@@ -394,7 +417,7 @@ def _candidates(
             reasons.append(f"{' + '.join(candidate.terms)}: {candidate.fit.status}")
     if not candidates:
         raise GoalMissed(f"no candidate could be fitted; {reasons[0]}")
-    progress("uncertainty", len(ways) / (len(ways) + 1))
+    progress("uncertainty", len(choices_of_terms) / (len(choices_of_terms) + 1))
     return candidates, reasons
 
 
@@ -409,9 +432,9 @@ def choose(candidates: Sequence[Candidate]) -> int:
     """
     squares = [c.left_out**2 for c in candidates]
     best = min(squares, key=lambda s: float(s.mean()))
-    most = float(best.mean()) + (float(best.std(ddof=1)) / np.sqrt(len(best)) if len(best) > 1 else 0.0)
-    within = [k for k, s in enumerate(squares) if s.mean() <= most * (1 + _ROUNDING)]
-    return min(within, key=lambda k: (len(candidates[k].fit.unknowns), float(squares[k].mean())))
+    limit = float(best.mean()) + (float(best.std(ddof=1)) / np.sqrt(len(best)) if len(best) > 1 else 0.0)
+    eligible = [k for k, s in enumerate(squares) if s.mean() <= limit * (1 + _ROUNDING)]
+    return min(eligible, key=lambda k: (len(candidates[k].fit.unknowns), float(squares[k].mean())))
 
 
 def _fitted(
@@ -422,6 +445,11 @@ def _fitted(
     settings: FitSettings,
     near: Candidate | None,
 ) -> Candidate:
+    """Fit one candidate, the friction laws of `arms` with or without free zeros, and predict the held-out swings.
+
+    `fitted` and `left_out` are the swings. `near` is a fit of the same laws, from which this one starts, or None.
+    `zeros` is True to fit encoder zeros.
+    """
     model = Swings(arms)
     groups = 1 + max(s.group for s in (*fitted, *left_out))
     fit = fit_swings(

@@ -58,7 +58,14 @@ from dpcontrol.recordings.recording import (
 
 @dataclass(frozen=True, eq=False)
 class FittedPath(Brief):
-    """Motion nearest to a stretch: states (K, 2n), residual (n,) rad rms per angle, and status."""
+    """Motion of a model that is nearest to a stretch of measured angles.
+
+    Attributes:
+        states: states (K, 2n) of the arms.
+        residual: root mean square residual (n,) of each angle, rad.
+        converged: True if the model follows the stretch.
+        status: result in words.
+    """
 
     states: Array
     residual: Array
@@ -78,7 +85,7 @@ _FOLLOWS = 0.5
 
 
 def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
-    """Return the best-fitting motion for a stretch of angles.
+    """Return the best-fitting motion for a stretch of angles, by which the model is judged.
 
     If the model cannot follow the stretch, for example because it is too long, the status reports it. The path is then
     the best one found.
@@ -89,10 +96,10 @@ def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
         ratios: parameter ratios (m,) of the model.
     """
     n = model.arms.count
-    fitted = partial(fit_starts, model, [swing], parameters=ratios, zeros=np.zeros((1, n)))
-    fit = fitted(settings=FitSettings(window=_SHORT))
+    fit_of = partial(fit_starts, model, [swing], parameters=ratios, zeros=np.zeros((1, n)))
+    fit = fit_of(settings=FitSettings(window=_SHORT))
     if not fit.converged:
-        fit = fitted(settings=FitSettings(window=_WHOLE), near=fit.starts[:1])
+        fit = fit_of(settings=FitSettings(window=_WHOLE), near=fit.starts[:1])
     start, period = fit.starts[:1], np.array([swing.period])
     (path,), _ = model.flown(
         start,
@@ -103,11 +110,13 @@ def fitted_path(model: Swings, swing: Swing, ratios: Array) -> FittedPath:
         velocities=swing.velocities,
     )
     finite = np.isfinite(swing.angles)
-    off = np.where(finite, path[:, :n] - swing.angles, 0.0)
-    residual = np.sqrt(np.sum(off**2, axis=0) / np.maximum(np.sum(finite, axis=0), 1))
+    errors = np.where(finite, path[:, :n] - swing.angles, 0.0)
+    residual = np.sqrt(np.sum(errors**2, axis=0) / np.maximum(np.sum(finite, axis=0), 1))
     follows = fit.converged and bool(finite.any() and residual.max() < _FOLLOWS)
-    lost = "no initial state was found from which the model follows the angles; shorten the span, or identify the model"
-    status = "the initial state was fitted" if follows else lost if finite.any() else "it contains no reading"
+    complaint = (
+        "no initial state was found from which the model follows the angles; shorten the span, or identify the model"
+    )
+    status = "the initial state was fitted" if follows else complaint if finite.any() else "it contains no reading"
     return FittedPath(path, residual, follows, status)
 
 
@@ -117,7 +126,13 @@ _INDEPENDENT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class RecordedEstimate(Brief):
-    """States (K, 2n) and standard deviations at each sample, and NIS (K,), NaN except at the end of a mean."""
+    """An estimator's result for each sample of a recording.
+
+    Attributes:
+        states: estimated states (K, 2n) of the arms.
+        sigmas: standard deviations (K, 2n) of these states.
+        nis: NIS (K,), NaN except at the end of a mean.
+    """
 
     states: Array
     sigmas: Array
@@ -134,7 +149,7 @@ def estimate_recording(
     mean_over: float,
     progress: Progress = no_progress,
 ) -> RecordedEstimate:
-    """Run an estimator over each segment of a recording, restarting in each.
+    """Run an estimator over each segment of a recording, restarting in each, as a check of model and noise.
 
     Args:
         recording: angles in segments.
@@ -157,7 +172,7 @@ def estimate_recording(
     noise[:n, :n] /= max(1.0, mean_of * min(1.0, recording.dt / _INDEPENDENT))
     estimator = make_estimator(filters, model, noise=noise)
 
-    def change(state: Array, drive: Array) -> Array:
+    def rate_of(state: Array, drive: Array) -> Array:
         """Return the derivative of the arms' state (2n,) for the cart's velocity and acceleration `drive`."""
         full = np.concatenate([state, [0.0, drive[0]]])
         return np.asarray(rate(full, drive[1], arms.base())).ravel()[: 2 * n]
@@ -165,46 +180,48 @@ def estimate_recording(
     # The cart's measurement adds nothing about the arms, since its motion is an input.
     present = np.array([True] * n + [False])
     times: Array = np.asarray((np.arange(mean_of) - (mean_of - 1) / 2) * recording.dt, dtype=np.float64)
-    out = RecordedEstimate(np.zeros((total, 2 * n)), np.zeros((total, 2 * n)), np.full(total, np.nan))
+    result = RecordedEstimate(np.zeros((total, 2 * n)), np.zeros((total, 2 * n)), np.full(total, np.nan))
     for index, (first, end) in enumerate(recording.segments):
-        still = np.zeros(end - first)
-        cart = carts[index] if carts else CartMotion(still, still, still, commanded=False)
-        means, drives, between, start = _means_of(recording, first, end, cart, mean_of)
+        zeros = np.zeros(end - first)
+        cart = carts[index] if carts else CartMotion(zeros, zeros, zeros, commanded=False)
+        means, drives, between_means, start = _means_of(recording, first, end, cart, mean_of)
         (guess,) = Swing(recording.angles[first:end], recording.dt).guess([0])
-        middle = _nearby(guess, change(guess, drives[0])[n:], -times[:1])[0]
-        estimate = estimator.first(np.concatenate([middle, start]))
+        first_state = _nearby(guess, rate_of(guess, drives[0])[n:], -times[:1])[0]
+        estimate = estimator.first(np.concatenate([first_state, start]))
         rows = slice(first, first)
         try:
             for k in range(len(means)):
                 rows = slice(first + k * mean_of, first + (k + 1) * mean_of)
-                moved = float(between[k - 1]) if k else 0.0
-                expected = estimate.state if not k else estimator.ahead(estimate, [moved])
-                bend = change(np.asarray(expected[: 2 * n]), drives[k])[n:] * np.mean(times**2) / 2
+                mean_acceleration = float(between_means[k - 1]) if k else 0.0
+                expected = estimate.state if not k else estimator.ahead(estimate, [mean_acceleration])
+                curvature = rate_of(np.asarray(expected[: 2 * n]), drives[k])[n:] * np.mean(times**2) / 2
                 # A mean with missing samples has another centre in time, so it is skipped.
                 has_reading = bool(np.isfinite(means[k]).all())
-                measured = np.concatenate([means[k] - bend if has_reading else np.zeros(n), [0.0]])
+                measured = np.concatenate([means[k] - curvature if has_reading else np.zeros(n), [0.0]])
                 if k:
-                    estimate = estimator.step(estimate, moved, measured, present & has_reading)
-                    out.nis[rows.stop - 1] = estimate.nis if has_reading else np.nan
+                    estimate = estimator.step(estimate, mean_acceleration, measured, present & has_reading)
+                    result.nis[rows.stop - 1] = estimate.nis if has_reading else np.nan
                 else:
                     estimate = estimator.update(estimate, measured, present & has_reading)
                 state = np.asarray(estimate.state[: 2 * n])
                 # Too few samples for another mean belong to the last one.
-                shown = slice(rows.start, rows.stop if k < len(means) - 1 else end)
-                since = times[0] + recording.dt * np.arange(shown.stop - shown.start)
-                out.states[shown] = _nearby(state, change(state, drives[k])[n:], since)
-                out.sigmas[shown] = estimate.sigmas[: 2 * n]
+                samples = slice(rows.start, rows.stop if k < len(means) - 1 else end)
+                times_from_middle = times[0] + recording.dt * np.arange(samples.stop - samples.start)
+                result.states[samples] = _nearby(state, rate_of(state, drives[k])[n:], times_from_middle)
+                result.sigmas[samples] = estimate.sigmas[: 2 * n]
                 if not k % 256:
                     progress("running the estimator", rows.stop / total)
         except ArithmeticError as error:
             raise GoalMissed(f"the estimator broke down at {recording.time[rows.start]:.6g} s: {error}") from error
-    return out
+    return result
 
 
 def _means_of(
     recording: Recording, first: int, end: int, cart: CartMotion, mean_of: int
 ) -> tuple[Array, Array, Array, Array]:
-    """Return means of `mean_of` samples of a segment, and the cart's motion at their middles.
+    """Return means of `mean_of` samples of a segment, and the cart's motion at their middles, for the estimator.
+
+    The segment has the samples `first` to `end` (not included) of the recording.
 
     Returns:
         Four arrays. The first has the angles (B, n), rad. The second has the cart's velocity, m/s, and its mean
@@ -214,28 +231,34 @@ def _means_of(
     blocks = (end - first) // mean_of
     if not blocks:
         raise InputError(f"{recording.source}: a segment of {end - first} samples is shorter than a mean of {mean_of}")
-    used = recording.angles[first : first + blocks * mean_of]
-    means: Array = np.asarray(np.mean(used.reshape(blocks, mean_of, recording.arms), axis=1), dtype=float)
+    whole_means = recording.angles[first : first + blocks * mean_of]
+    means: Array = np.asarray(np.mean(whole_means.reshape(blocks, mean_of, recording.arms), axis=1), dtype=float)
     at_middle = np.arange(blocks) * mean_of + mean_of // 2
-    felt = cart.acceleration[: blocks * mean_of].reshape(blocks, mean_of).mean(axis=1)
+    mean_accelerations = cart.acceleration[: blocks * mean_of].reshape(blocks, mean_of).mean(axis=1)
     start = np.array([cart.position[at_middle[0]], cart.velocity[at_middle[0]]])
-    drives = np.column_stack([cart.velocity[at_middle], felt])
+    drives = np.column_stack([cart.velocity[at_middle], mean_accelerations])
     return means, drives, _between_means(cart.acceleration, mean_of, blocks), start
 
 
 def _nearby(state: Array, acceleration: Array, times: Array) -> Array:
-    """Return the states (M, 2n) at `times` (M,), a few ms from the time of `state` (2n,)."""
+    """Return the states (M, 2n) at `times` (M,), s from the time of `state` (2n,), at a constant `acceleration` (n,).
+
+    The times are a few ms, within a mean of samples.
+    """
     n = len(acceleration)
     angles = state[:n] + np.outer(times, state[n:]) + np.outer(times**2 / 2, acceleration)
     return np.column_stack([angles, state[n:] + np.outer(times, acceleration)])
 
 
 def _between_means(acceleration: Array, mean_of: int, blocks: int) -> Array:
-    """Return the mean accelerations, m/s², between the middles of successive means."""
-    total = np.concatenate([[0.0], np.cumsum(acceleration)])
+    """Return the mean accelerations (B - 1,), m/s², between the middles of successive means of `mean_of` samples.
+
+    `acceleration` (K,) m/s² are those of the samples, and `blocks` is the number B of means.
+    """
+    velocity_gain = np.concatenate([[0.0], np.cumsum(acceleration)])
     # A middle between two samples is half a sample later.
     middles = mean_of * np.arange(blocks) + (mean_of - 1) / 2
-    return np.diff(np.interp(middles, np.arange(len(total)), total)) / mean_of
+    return np.diff(np.interp(middles, np.arange(len(velocity_gain)), velocity_gain)) / mean_of
 
 
 _SETTLED = 0.1
@@ -269,7 +292,7 @@ class ReplaySettings(Settings, table="replay"):
 
 @dataclass(frozen=True, eq=False)
 class Replay(Brief, Documented):
-    """A recording of K samples and the model's predictions for it.
+    """A recording of K samples and the model's predictions for it, by which users judge a model.
 
     Attributes:
         recording: replayed recording.
@@ -330,7 +353,7 @@ class Replay(Brief, Documented):
 
     @property
     def cart(self) -> str:
-        """Return the source of the cart's acceleration, or "" if the cart was clamped."""
+        """The source of the cart's acceleration, or "" if the cart was clamped."""
         if not self.carts:
             return ""
         commanded = sum(cart.commanded for cart in self.carts)
@@ -340,13 +363,13 @@ class Replay(Brief, Documented):
 
     @property
     def status(self) -> str:
-        """Return a sentence on the stretches that the model could follow."""
-        lost = [stretch for stretch, fit in zip(self.stretches, self.fits, strict=True) if not fit.converged]
-        if not lost:
+        """A sentence on the stretches that the model could follow."""
+        lost_stretches = [stretch for stretch, fit in zip(self.stretches, self.fits, strict=True) if not fit.converged]
+        if not lost_stretches:
             return f"predicted {len(self.fits)} stretches"
-        start = self.recording.time[lost[0][1]]
+        start = self.recording.time[lost_stretches[0][1]]
         reason = next(fit.status for fit in self.fits if not fit.converged)
-        return f"{len(lost)} of {len(self.fits)} stretches, the first at {start:.4g} s: {reason}"
+        return f"{len(lost_stretches)} of {len(self.fits)} stretches, the first at {start:.4g} s: {reason}"
 
     @property
     def converged(self) -> bool:
@@ -365,7 +388,7 @@ class Replay(Brief, Documented):
 
 
 def filter_settings(name: str, *, model_error: float = 0.003) -> EstimatorSettings:
-    """Return the settings of an estimator for a model's error.
+    """Return the settings of an estimator of recordings, with process noise for a model's error.
 
     The defaults, including that of `mean_over`, were tuned on two thirds of the rig's recording with its identified
     model. They have the shortest means whose share of NIS in the band is within 0.2 % of the maximum. The share is 90.7
@@ -417,9 +440,9 @@ def replay_recording(
         raise InputError(f"{recording.source}: the recording has {n} arms and the model {arms.count}; choose another")
     if len(zeros) not in (0, n):
         raise InputError(f"{len(zeros)} zeros for {n} arms; give one for each")
-    shown, shown_recording = np.zeros(2 * n), recording
-    shown[: len(zeros)] = zeros
-    recording = replace(recording, angles=recording.angles - shown[:n])
+    shown_zeros, shown_recording = np.zeros(2 * n), recording
+    shown_zeros[: len(zeros)] = zeros
+    recording = replace(recording, angles=recording.angles - shown_zeros[:n])
     carts = _carts(recording)
     model, ratios = Swings(arms), base_ratios(arms)
     stretches = _stretches(recording, _SPAN[bool(carts)] if settings.span is None else settings.span)
@@ -446,8 +469,8 @@ def replay_recording(
         rates_rms = np.sqrt(np.mean(np.square(estimated.states[settled, n:] - recording.rates[settled]), axis=0))
     return Replay(
         recording=shown_recording,
-        predicted=np.concatenate([fit.states for fit in fits]) + shown,
-        estimated=estimated.states + shown,
+        predicted=np.concatenate([fit.states for fit in fits]) + shown_zeros,
+        estimated=estimated.states + shown_zeros,
         sigmas=estimated.sigmas,
         nis=estimated.nis,
         carts=carts,
@@ -465,20 +488,20 @@ def replay_recording(
 
 
 def _carts(recording: Recording) -> tuple[CartMotion, ...]:
-    """Return the cart motion of each segment. Empty if clamped.
+    """Return the cart motion of each segment, which is the input of predictions and estimator; empty if clamped.
 
     Raises:
         InputError: the cart moved in only some segments.
     """
     carts = [cart_motion(part) for part in recording.split()]
-    moved = tuple(cart for cart in carts if cart is not None)
-    if moved and len(moved) < len(carts):
-        still = next(k for k, cart in enumerate(carts) if cart is None)
+    moving = tuple(cart for cart in carts if cart is not None)
+    if moving and len(moving) < len(carts):
+        clamped = next(k for k, cart in enumerate(carts) if cart is None)
         raise InputError(
-            f"{recording.source}: the cart moves in some segments but not in others, such as segment {still}; "
+            f"{recording.source}: the cart moves in some segments but not in others, such as segment {clamped}; "
             "import them separately"
         )
-    return moved
+    return moving
 
 
 def driven(recording: Recording, carts: tuple[CartMotion, ...]) -> tuple[Array, Array]:
@@ -493,16 +516,19 @@ def driven(recording: Recording, carts: tuple[CartMotion, ...]) -> tuple[Array, 
     """
     if not carts:
         return np.zeros(len(recording.time)), np.zeros(len(recording.time))
-    return np.concatenate([c.velocity for c in carts]), np.concatenate([c.acceleration for c in carts])
+    return np.concatenate([cart.velocity for cart in carts]), np.concatenate([cart.acceleration for cart in carts])
 
 
 def _stretches(recording: Recording, span: float) -> tuple[tuple[int, int, int], ...]:
-    """Return (segment, first, end) of the stretches that are predicted in one piece and together cover all samples."""
+    """Return (segment, first, end) of the stretches that are predicted in one piece and together cover all samples.
+
+    A stretch lasts about `span` s at most, and has the samples from `first` to `end`, which is not included.
+    """
     stretches = []
     for index, (first, end) in enumerate(recording.segments):
         parts = int(np.ceil((end - first) * recording.dt / span))
         edges = np.linspace(first, end, max(parts, 1) + 1).round().astype(int)
-        stretches += [(index, int(a), int(b)) for a, b in pairwise(edges)]
+        stretches += [(index, int(start), int(stop)) for start, stop in pairwise(edges)]
     return tuple(stretches)
 
 
@@ -515,26 +541,30 @@ def _ahead(
     velocity: Array,
     acceleration: Array,
 ) -> Array:
-    """Return the rms error (n,) rad of angles predicted `samples` ahead, NaN if no interval fits."""
-    inside = np.zeros(len(settled), dtype=bool)
+    """Return the rms error (n,) rad of angles predicted `samples` ahead from the estimate, NaN if no interval fits.
+
+    `settled` (K,) is True for samples after the estimator's beginning. `velocity` and `acceleration` (K,) are the
+    cart's, m/s and m/s². `model` integrates the arms, and `estimated` are the starts at the recording's samples.
+    """
+    has_target = np.zeros(len(settled), dtype=bool)
     for first, end in recording.segments:
-        inside[first : max(first, end - samples)] = True
+        has_target[first : max(first, end - samples)] = True
     # At the end of a mean, the estimate includes all samples up to it and none after.
-    rows = np.flatnonzero(inside & settled & np.isfinite(estimated.nis))
-    rows = rows[:: max(1, len(rows) // _STARTS)]
-    if not len(rows):
+    starts = np.flatnonzero(has_target & settled & np.isfinite(estimated.nis))
+    starts = starts[:: max(1, len(starts) // _STARTS)]
+    if not len(starts):
         return np.full(recording.arms, np.nan)
-    states, ratios, period = estimated.states[rows], base_ratios(model.arms), np.full(len(rows), recording.dt)
+    states, ratios, period = estimated.states[starts], base_ratios(model.arms), np.full(len(starts), recording.dt)
     for k in range(samples):
         states = model.flown(
             states,
             ratios,
             period=period,
             samples=2,
-            accelerations=acceleration[rows + k, None],
-            velocities=velocity[rows + k, None],
+            accelerations=acceleration[starts + k, None],
+            velocities=velocity[starts + k, None],
         )[0][:, 1]
-    error = states[:, : recording.arms] - recording.angles[rows + samples]
+    error = states[:, : recording.arms] - recording.angles[starts + samples]
     return np.sqrt(np.nanmean(np.square(error), axis=0))
 
 
@@ -560,9 +590,9 @@ def write_replay(result: Replay, path: Path | str, *, model: str, model_text: st
     estimated, predicted, sigmas = result.estimated, result.predicted, result.sigmas
     velocity, acceleration = driven(recording, result.carts)
     if recording.cart is not None:
-        pivot = np.column_stack([recording.cart, velocity])
-        estimated, predicted = np.column_stack([estimated, pivot]), np.column_stack([predicted, pivot])
-        sigmas = np.column_stack([sigmas, np.zeros_like(pivot)])
+        cart_states = np.column_stack([recording.cart, velocity])
+        estimated, predicted = np.column_stack([estimated, cart_states]), np.column_stack([predicted, cart_states])
+        sigmas = np.column_stack([sigmas, np.zeros_like(cart_states)])
     control = {"nis": result.nis, "applied": acceleration}
     if recording.command is not None:
         control["command"] = recording.command

@@ -67,11 +67,14 @@ class FitSettings(Settings, table="fit"):
 
 
 class LinearisedStretch(NamedTuple):
-    """Linearisation of a stretch of K samples of n quantities.
+    """Linearisation of a stretch of K samples of n quantities, as a block of the normal equations.
 
-    `residual` (K, n) minus the effect of the gaps between windows is `reduced` (K, n). `slope` (K, n, s+f) is the
-    derivative of the prediction with respect to the first start (s,) and the f unknowns. Each window's start depends on
-    these through `nodes` (s, s+f) and `offsets` (s,).
+    Attributes:
+        residual: measured minus predicted values (K, n).
+        reduced: residual minus the effect of the gaps between windows (K, n).
+        slope: derivatives (K, n, s+f) of the prediction by the first start (s,) and the f unknowns.
+        nodes: N_j of each window, the derivatives (s, s+f) of its start by the first start and the unknowns.
+        offsets: d_j of each window, the part (s,) of its start's change that closes the gaps before it.
     """
 
     residual: Array
@@ -83,7 +86,7 @@ class LinearisedStretch(NamedTuple):
 
 @dataclass(eq=False)
 class Linearised:
-    """Residuals of all stretches and their derivatives at one point.
+    """Residuals of all stretches and their derivatives at one point, for a Gauss-Newton step.
 
     Attributes:
         stretches: linearisation of each stretch.
@@ -99,22 +102,22 @@ class Linearised:
 
     @property
     def sizes(self) -> Array:
-        """Sizes of all residuals (R,)."""
+        """Sizes of all residuals (R,), by which the threshold of the robust loss is set."""
         return np.abs(np.concatenate([stretch.residual.ravel() for stretch in self.stretches]))
 
     def merit(self, threshold: float) -> float:
-        """Return the merit function of a step: loss plus gaps.
+        """Return the merit function, robust loss plus gaps, by which a step is accepted.
 
         Args:
             threshold: size of a residual from which the loss is linear.
         """
         scale = threshold if np.isfinite(threshold) else 1e-3
-        bent = np.minimum(sizes := self.sizes, threshold)
-        return float((bent * (sizes - bent / 2)).sum()) / scale**2 + _GAP_WEIGHT * self.gaps / scale
+        clipped = np.minimum(sizes := self.sizes, threshold)
+        return float((clipped * (sizes - clipped / 2)).sum()) / scale**2 + _GAP_WEIGHT * self.gaps / scale
 
 
 class WindowModel(Protocol):
-    """A model that predicts measurements in windows.
+    """A model that predicts measurements in windows, to be fitted by `fit_windows`.
 
     Attributes:
         windows: windows of each stretch, by number.
@@ -123,7 +126,7 @@ class WindowModel(Protocol):
     windows: Sequence[range]
 
     def linearised(self, starts: Array, values: Array, unknowns: NDArray[np.intp]) -> Linearised:
-        """Return residuals and derivatives.
+        """Return residuals of all stretches and their derivatives, for a Gauss-Newton step.
 
         Args:
             starts: starts (W, s) of the windows.
@@ -135,7 +138,7 @@ class WindowModel(Protocol):
 
 @dataclass(eq=False)
 class DifferencedModel:
-    """A stretch without a start, whose derivatives are differences.
+    """A stretch without a start, whose derivatives are differences, for models that return predictions only.
 
     Attributes:
         residuals: function of sets of values (P, V) that returns the measured minus the predicted values (P, K, n).
@@ -146,7 +149,7 @@ class DifferencedModel:
     windows: Sequence[range] = (range(1),)
 
     def linearised(self, starts: Array, values: Array, unknowns: NDArray[np.intp]) -> Linearised:
-        """Return residuals and derivatives, see `WindowModel`.
+        """Return residuals and derivatives for a Gauss-Newton step, see `WindowModel`.
 
         Args:
             starts: none.
@@ -161,7 +164,7 @@ class DifferencedModel:
 
 @dataclass(frozen=True, eq=False)
 class WindowedFit(Brief):
-    """Fitted parameters with residuals and information."""
+    """Fitted parameters with residuals and information, from which the standard errors follow."""
 
     values: Array
     """Values (V,) of all parameters."""
@@ -199,7 +202,9 @@ class WindowedFit(Brief):
 
 
 def clustered_covariance(information: NDArray[Any], scores: Sequence[Array], residuals: Sequence[Array]) -> Array:
-    """Return the covariance of estimates whose residuals are correlated, infinite where they are undetermined.
+    """Return the covariance (f, f) of estimates whose residuals are correlated, infinite where they are undetermined.
+
+    It is the formula at the head of this module.
 
     Args:
         information: information matrix (f, f).
@@ -215,34 +220,36 @@ def clustered_covariance(information: NDArray[Any], scores: Sequence[Array], res
         np.linspace(0, len(score), count + 1).round().astype(int) for score, count in zip(scores, counts, strict=True)
     ]
     blocks = np.concatenate([np.add.reduceat(s, edge[:-1], axis=0) for s, edge in zip(scores, edges, strict=True)])
-    middle = blocks.T @ blocks * len(blocks) / max(len(blocks) - f, 1)
+    score_covariance = blocks.T @ blocks * len(blocks) / max(len(blocks) - f, 1)
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    sizes, axes = np.linalg.eigh(information * np.outer(scale, scale))
-    seen = sizes > _UNSEEN * sizes[-1]
-    inverse = (axes[:, seen] / sizes[seen]) @ axes[:, seen].T * np.outer(scale, scale)
-    covariance = inverse @ middle @ inverse
-    for direction in (axes[:, ~seen] * scale[:, None]).T:
-        touched = np.abs(direction) > 1e-6 * np.abs(direction).max()
-        covariance[touched, touched] = np.inf
+    eigenvalues, axes = np.linalg.eigh(information * np.outer(scale, scale))
+    determined = eigenvalues > _UNSEEN * eigenvalues[-1]
+    inverse = (axes[:, determined] / eigenvalues[determined]) @ axes[:, determined].T * np.outer(scale, scale)
+    covariance = inverse @ score_covariance @ inverse
+    for direction in (axes[:, ~determined] * scale[:, None]).T:
+        affected = np.abs(direction) > 1e-6 * np.abs(direction).max()
+        covariance[affected, affected] = np.inf
     return (covariance + covariance.T) / 2
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
     """Return the integrated autocorrelation time of residuals, in samples, at least 1.
 
+    Sums over blocks several times longer count as independent.
+
     The sum ends when the autocorrelation, pooled over stretches and quantities, first falls below 0.05.
 
     Args:
         residuals: residuals (K, n) of each stretch.
     """
-    longest = min(map(len, residuals))
+    lags = min(map(len, residuals))
     # Zero padding to twice the length prevents wrap-around.
     spectra = [np.abs(np.fft.rfft(residual, 2 * len(residual), axis=0)) ** 2 for residual in residuals]
-    power = np.sum([np.fft.irfft(spectrum, axis=0)[:longest].sum(axis=1) for spectrum in spectra], axis=0)
-    if power[0] <= 0:
+    autocovariance = np.sum([np.fft.irfft(spectrum, axis=0)[:lags].sum(axis=1) for spectrum in spectra], axis=0)
+    if autocovariance[0] <= 0:
         return 1.0
-    shape = np.append(power / power[0], 0.0)
-    return float(max(1.0, 1 + 2 * shape[1 : np.argmax(shape < 0.05)].sum()))
+    autocorrelation = np.append(autocovariance / autocovariance[0], 0.0)
+    return float(max(1.0, 1 + 2 * autocorrelation[1 : np.argmax(autocorrelation < 0.05)].sum()))
 
 
 class _Iterate(NamedTuple):
@@ -262,7 +269,7 @@ def fit_windows(
     settings: FitSettings,
     starts: Array | None = None,
 ) -> WindowedFit:
-    """Fit the starts of windows and the free parameters.
+    """Fit the starts of windows and the free parameters by bounded Gauss-Newton steps.
 
     Args:
         model: model of the measurements.
@@ -273,44 +280,45 @@ def fit_windows(
         starts: first guess (W, s) of the starts; None for a model without starts.
     """
     starts = np.empty((1, 0)) if starts is None else starts
-    now = _Iterate(starts, values, model.linearised(starts, values, unknowns))
+    iterate = _Iterate(starts, values, model.linearised(starts, values, unknowns))
     threshold, converged, iteration, status = np.inf, False, 0, ""
     for iteration in range(1, settings.iterations + 1):
         if iteration <= _STILL_ADAPTING and settings.robust:
-            bulk = 1.4826 * float(np.median(now.linearised.sizes))
+            # The median size of normal residuals times 1.4826 is their standard deviation.
+            bulk = 1.4826 * float(np.median(iterate.linearised.sizes))
             threshold = settings.robust * max(bulk, settings.least_scale)
-        normal = _normal(now.linearised, threshold)
+        normal = _normal(iterate.linearised, threshold)
         if not np.isfinite(normal.scaled).all():
             status = "errors grow too much along a swing to determine its start; cut the swings shorter"
             break
-        better, share = _improved(now, model, unknowns, bounds, normal, threshold)
-        if better is None:
-            converged = now.linearised.gap < 1e-6
+        next_iterate, share = _improved(iterate, model, unknowns, bounds, normal, threshold)
+        if next_iterate is None:
+            converged = iterate.linearised.gap < 1e-6
             status = "" if converged else "no step reduced the misfit; check units, signs and the starting model"
             break
-        gained = 1 - better.linearised.merit(threshold) / max(now.linearised.merit(threshold), 1e-300)
-        now = better
-        if share == 1.0 and gained < settings.tolerance and now.linearised.gap < 1e-7 and iteration > 2:
+        decrease = 1 - next_iterate.linearised.merit(threshold) / max(iterate.linearised.merit(threshold), 1e-300)
+        iterate = next_iterate
+        if share == 1.0 and decrease < settings.tolerance and iterate.linearised.gap < 1e-7 and iteration > 2:
             converged = True
             break
     if not converged and not status:
         status = f"still improving after {settings.iterations} steps; increase the limit, or start from a better model"
-    normal, stretches = _normal(now.linearised, threshold), now.linearised.stretches
+    normal, stretches = _normal(iterate.linearised, threshold), iterate.linearised.stretches
     return WindowedFit(
-        values=now.values,
-        starts=now.starts,
+        values=iterate.values,
+        starts=iterate.starts,
         unknowns=unknowns,
         residuals=[stretch.residual for stretch in stretches],
         information=normal.reduced,
         scores=[
             np.einsum(
                 "kaf,ka->kf",
-                stretch.slope[..., len(mixed) :] - stretch.slope[..., : len(mixed)] @ mixed,
+                stretch.slope[..., len(by_unknowns) :] - stretch.slope[..., : len(by_unknowns)] @ by_unknowns,
                 np.clip(stretch.residual, -threshold, threshold),
             )
-            for stretch, mixed in zip(stretches, normal.mixed, strict=True)
+            for stretch, by_unknowns in zip(stretches, normal.mixed, strict=True)
         ],
-        gap=now.linearised.gap,
+        gap=iterate.linearised.gap,
         iterations=iteration,
         converged=converged,
         status=status or f"converged in {iteration} steps",
@@ -325,18 +333,23 @@ def _improved(
     normal: "_Normal",
     threshold: float,
 ) -> tuple[_Iterate | None, float]:
-    """Return the iterate after the longest step that reduces the misfit, None if no step does, and the step's share."""
-    least, most = bounds
+    """Return the iterate after the longest step that reduces the misfit, None if no step does, and the step's share.
+
+    The share 1 is tried first, then a half, a quarter and so on. `now` is the present iterate, `unknowns` are the
+    indices (f,) of the free parameters, and `bounds` those of all parameters (V,). `normal` are the normal equations,
+    and `threshold` is that of the robust loss.
+    """
+    lower, upper = bounds
     share = 1.0
     for _ in range(_TRIALS):
-        step, firsts = _step(normal, now.values[unknowns], least[unknowns], most[unknowns], share)
+        step, first_changes = _step(normal, now.values[unknowns], lower[unknowns], upper[unknowns], share)
         values, starts = now.values.copy(), now.starts.copy()
         values[unknowns] += step
-        for stretch, windows, first in zip(now.linearised.stretches, model.windows, firsts, strict=True):
-            direction = np.concatenate([first, step])
+        for stretch, windows, first_change in zip(now.linearised.stretches, model.windows, first_changes, strict=True):
+            direction = np.concatenate([first_change, step])
             for w, node, offset in zip(windows, stretch.nodes, stretch.offsets, strict=True):
                 starts[w] += node @ direction + share * offset
-        values = np.clip(values, least, most)
+        values = np.clip(values, lower, upper)
         trial = model.linearised(starts, values, unknowns)
         # Rounding may raise the misfit of a full step, but must not accept ever shorter ones.
         if trial.finite and trial.merit(threshold) < now.linearised.merit(threshold) * (1 + 1e-12 * (share == 1.0)):
@@ -347,7 +360,14 @@ def _improved(
 
 @dataclass(eq=False)
 class _Normal:
-    """Normal equations with the starts eliminated: reduced (f, f), right (f,), and the way back to each start."""
+    """Normal equations of the f unknowns, from which the stretches' starts are eliminated.
+
+    Attributes:
+        reduced: matrix (f, f).
+        right: right-hand side (f,).
+        mixed: for each stretch, the decrease (s, f) of its start per unknown.
+        start_rights: for each stretch, the change (s,) of its start with fixed unknowns.
+    """
 
     reduced: Array
     right: Array
@@ -356,9 +376,9 @@ class _Normal:
 
     @property
     def scale(self) -> Array:
-        """Scale of each unknown (f,)."""
+        """Scale of each unknown (f,), with which the matrix has a unit diagonal."""
         sizes = np.diag(self.reduced)
-        # What the data do not depend on must not pass for determined by rounding.
+        # Rounding must not make an unknown look determined if the data do not depend on it.
         return 1 / np.sqrt(np.maximum(sizes, max(_LOST * sizes.max(initial=0.0), 1e-300)))
 
     @property
@@ -370,39 +390,45 @@ class _Normal:
 
 
 def _normal(now: Linearised, threshold: float) -> _Normal:
+    """Return the normal equations of a linearisation, with residuals beyond the threshold weighted down (Huber).
+
+    With the blocks A of the starts, C of the unknowns and B between both, each stretch adds C - Bᵀ A⁻¹ B. `now` is the
+    linearisation.
+    """
     n = len(now.stretches[0].offsets[0])
     f = now.stretches[0].slope.shape[2] - n
-    out = _Normal(np.zeros((f, f)), np.zeros(f), [], [])
+    normal = _Normal(np.zeros((f, f)), np.zeros(f), [], [])
     for stretch in now.stretches:
-        weights = np.minimum(1.0, threshold / np.maximum(np.abs(stretch.residual), 1e-300)).ravel()
+        robust_weights = np.minimum(1.0, threshold / np.maximum(np.abs(stretch.residual), 1e-300)).ravel()
         jacobian = stretch.slope.reshape(-1, n + f)
-        weighted = jacobian * weights[:, None]
+        weighted = jacobian * robust_weights[:, None]
         matrix, right = jacobian.T @ weighted, weighted.T @ stretch.reduced.ravel()
-        a, b, c = matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
-        solved = np.linalg.lstsq(a, np.column_stack([b, right[:n]]), rcond=1e-14)[0].astype(np.float64)
-        out.reduced += c - b.T @ solved[:, :f]
-        out.right += right[n:] - b.T @ solved[:, f]
-        out.mixed.append(solved[:, :f])
-        out.start_rights.append(solved[:, f])
-    return out
+        of_starts, mixed, of_unknowns = matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
+        solved = np.linalg.lstsq(of_starts, np.column_stack([mixed, right[:n]]), rcond=1e-14)[0].astype(np.float64)
+        normal.reduced += of_unknowns - mixed.T @ solved[:, :f]
+        normal.right += right[n:] - mixed.T @ solved[:, f]
+        normal.mixed.append(solved[:, :f])
+        normal.start_rights.append(solved[:, f])
+    return normal
 
 
 def _step(normal: _Normal, values: Array, least: Array, most: Array, share: float) -> tuple[Array, list[Array]]:
     """Return the bounded change of the unknowns (f,), and the change (s,) of each stretch's start.
 
-    A share of the step below 1 is that of Levenberg and Marquardt, who shorten it most where the data tell least.
+    `values`, `least` and `most` (f,) are the unknowns and their bounds. A share of the step below 1 is that of
+    Levenberg and Marquardt, who shorten it most where the data tell least. `normal` are the normal equations.
     """
     f = len(values)
     step = np.zeros(f)
     if f:
         scale = normal.scale
-        sizes, axes = np.linalg.eigh(normal.scaled)
-        sizes += 1 / share - 1
-        resolved = sizes > 1e-12 * sizes[-1]
-        sizes, axes = sizes[resolved], axes[:, resolved]
-        root = np.sqrt(sizes)[:, None] * axes.T
-        right = (axes.T @ (normal.right * scale)) / np.sqrt(sizes)
+        eigenvalues, axes = np.linalg.eigh(normal.scaled)
+        eigenvalues += 1 / share - 1
+        resolved = eigenvalues > 1e-12 * eigenvalues[-1]
+        eigenvalues, axes = eigenvalues[resolved], axes[:, resolved]
+        factor = np.sqrt(eigenvalues)[:, None] * axes.T
+        right = (axes.T @ (normal.right * scale)) / np.sqrt(eigenvalues)
         bounds = np.minimum((least - values) / scale, -1e-300), np.maximum((most - values) / scale, 1e-300)
-        step = optimize.lsq_linear(root, right, bounds=bounds, method="bvls").x * scale
+        step = optimize.lsq_linear(factor, right, bounds=bounds, method="bvls").x * scale
         step = np.clip(values + step, least, most) - values
     return step, [share * r - mixed @ step for r, mixed in zip(normal.start_rights, normal.mixed, strict=True)]

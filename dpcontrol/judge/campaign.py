@@ -34,6 +34,7 @@ dataset = Later("pyarrow.dataset")
 METADATA = b"dpcontrol.campaign"
 """Key of a table's metadata: JSON with the itinerary, the model, the settings and the version."""
 _WHAT = ("itinerary", "controller", "estimator")
+"""Columns that form groups if their values differ."""
 _KIND, _LEVEL, _CASE = "kind", "level", "case"
 _APART, _BINS = 21, 6
 """Most values shown individually, and the number of bins for more."""
@@ -41,7 +42,14 @@ _APART, _BINS = 21, 6
 
 @dataclass(frozen=True)
 class Group:
-    """Runs with equal `names`, and a mismatch or a level of trouble between two bounds."""
+    """Runs with equal values in some columns, and a mismatch or a level of trouble between two bounds.
+
+    Attributes:
+        names: value of each of these columns.
+        share: share of completed runs.
+        low: least mismatch or level.
+        high: greatest mismatch or level.
+    """
 
     names: dict[str, str]
     share: Share
@@ -50,17 +58,22 @@ class Group:
 
     @property
     def label(self) -> str:
-        """The names as one line, without those that the case repeats."""
+        """The group's values as one line, for tables and pictures."""
         return self._line()
 
     @property
     def family(self) -> str:
-        """The names except the kind of trouble, as one line."""
+        """The group's values except the kind of trouble, as one line, by which levels are joined over all kinds."""
         return self._line(without=_KIND)
 
     def _line(self, *, without: str = "") -> str:
-        named = self.names.get(_CASE, "").split(", ")
-        parts = (n for column, n in self.names.items() if column != without and f"{column}={n}" not in named)
+        """Return the group's values in one line, without the column `without` and those that its case repeats."""
+        case_settings = self.names.get(_CASE, "").split(", ")
+        parts = (
+            value
+            for column, value in self.names.items()
+            if column != without and f"{column}={value}" not in case_settings
+        )
         return " · ".join(parts) or "all runs"
 
 
@@ -128,6 +141,7 @@ class CampaignSummary(Shown, Documented):
 
 
 def _share_document(share: Share) -> dict[str, Any]:
+    """Return counts, rate and interval of a share under the keys of the JSON document."""
     return document_of(share, "completed=successes of=runs rate low high")
 
 
@@ -141,12 +155,12 @@ def campaign_table(path: Path) -> "pa.Table":
         InputError: the folder is missing, or holds no Parquet files or damaged ones.
     """
     if not path.is_dir():
-        fault = "is a file, as of version 0.2; now each table is a folder" if path.exists() else "does not exist"
-        raise InputError(f"the campaign {path} {fault}: give the folder that `dpcontrol campaign` wrote")
-    checked = dataset.ParquetFragmentScanOptions(page_checksum_verification=True)
+        problem = "is a file, as of version 0.2; now each table is a folder" if path.exists() else "does not exist"
+        raise InputError(f"the campaign {path} {problem}: give the folder that `dpcontrol campaign` wrote")
+    options = dataset.ParquetFragmentScanOptions(page_checksum_verification=True)
     try:
         files = [str(file) for file in sorted(path.glob("*.parquet"))]
-        rows = dataset.dataset(files, format=dataset.ParquetFileFormat(default_fragment_scan_options=checked))
+        rows = dataset.dataset(files, format=dataset.ParquetFileFormat(default_fragment_scan_options=options))
         checked_size(8.0 * rows.count_rows() * len(rows.schema))
         return rows.to_table()
     except (pa.ArrowException, OSError, ValueError) as error:
@@ -169,7 +183,7 @@ def campaign_summary(path: Path) -> CampaignSummary:
 
 
 def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
-    """Return the summary of a campaign's table.
+    """Return the summary of a campaign's table: shares of completed runs by group and level, and causes of failure.
 
     Args:
         rows: a row for each run.
@@ -183,76 +197,107 @@ def summary_of(rows: "pa.Table", path: Path) -> CampaignSummary:
         raise InputError(
             f"{path} has no column of completed runs, only {columns}; give a table of `dpcontrol campaign`"
         )
-    judged = rows.filter(rows["completed"].is_valid())
-    if not judged.num_rows:
+    judged_rows = rows.filter(rows["completed"].is_valid())
+    if not judged_rows.num_rows:
         raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
-    table = judged.to_pydict()
-    done = np.array(table["completed"], dtype=bool)
+    table = judged_rows.to_pydict()
+    completed = np.array(table["completed"], dtype=bool)
     families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
     standard = _KIND in table and _LEVEL in table
-    measured = [table[name] for name in (*_WHAT, "mismatch") if name in table]
-    places = set(zip(*measured, strict=True)) or {()}
+    compared_columns = [table[name] for name in (*_WHAT, "mismatch") if name in table]
+    distinct_cases = set(zip(*compared_columns, strict=True)) or {()}
     # Groups and levels do not separate all cases.
-    if not standard and _CASE in table and len(set(zip(*measured, table[_CASE], strict=True))) > len(places):
+    if (
+        not standard
+        and _CASE in table
+        and len(set(zip(*compared_columns, table[_CASE], strict=True))) > len(distinct_cases)
+    ):
         families.append(_CASE)
     axis = _LEVEL if standard else "mismatch"
-    causes = table.get("cause") or table.get("ending") or [""] * len(done)
-    groups = _groups(table, [*families, _KIND] if standard else families, done)
-    alone = _groups(table, families, done)
+    causes = table.get("cause") or table.get("ending") or [""] * len(completed)
+    groups = _groups(table, [*families, _KIND] if standard else families, completed)
+    family_groups = _groups(table, families, completed)
     return CampaignSummary(
         path=path,
-        runs=judged.num_rows,
-        unknown=rows.num_rows - judged.num_rows,
-        share=share_of(done),
+        runs=judged_rows.num_rows,
+        unknown=rows.num_rows - judged_rows.num_rows,
+        share=share_of(completed),
         groups=tuple(group for group, _ in groups),
         axis=axis,
-        levels=_levels(_numbers(table, axis), alone, done),
-        failed_symbols=_symbols(table, alone, done),
-        reasons=tuple(Counter(str(causes[k] or "not named") for k in np.flatnonzero(~done)).most_common()),
+        levels=_levels(_numbers(table, axis), family_groups, completed),
+        failed_symbols=_symbols(table, family_groups, completed),
+        reasons=tuple(Counter(str(causes[k] or "not named") for k in np.flatnonzero(~completed)).most_common()),
         record=json.loads((rows.schema.metadata or {}).get(METADATA, b"{}")),
     )
 
 
 Rows = NDArray[np.bool_]
+"""True (K,) for the rows of a table that belong to a group, or for completed runs."""
 
 
 def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list[tuple[Group, Rows]]:
-    """Return the groups of runs with equal values in columns, and the rows (K,) of each group."""
+    """Return the groups of runs with equal values in columns, and the rows (K,) of each group.
+
+    `done` (K,) is True for completed runs.
+    """
     keys = [tuple(str(table[name][k]) for name in columns) for k in range(len(done))]
-    rows = {key: np.array([other == key for other in keys]) for key in sorted(set(keys))}
-    return [(Group(dict(zip(columns, key, strict=True)), share_of(done[mine])), mine) for key, mine in rows.items()]
+    members_by_key = {key: np.array([other == key for other in keys]) for key in sorted(set(keys))}
+    return [
+        (Group(dict(zip(columns, key, strict=True)), share_of(done[members])), members)
+        for key, members in members_by_key.items()
+    ]
 
 
 def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
-    """Return a column as numbers, nan for missing values, or None if it has no numbers."""
+    """Return the column `name` of a table as numbers (K,), or None if it has no numbers; nan for missing values."""
     values = np.array(table.get(name, []), dtype=float)
     return values if np.isfinite(values).any() else None
 
 
 def _levels(values: NDArray[np.float64] | None, groups: list[tuple[Group, Rows]], done: Rows) -> tuple[Group, ...]:
-    if values is None or len(numbers := np.unique(values[np.isfinite(values)])) < 2:
+    """Return the share of completed runs of each group at each mismatch or level, for the curve over it.
+
+    More than `_APART` different values are put into `_BINS` bins of equal counts.
+
+    Args:
+        values: mismatch or level (K,) of each run, None if the table has none.
+        groups: groups and their rows.
+        done: True (K,) for completed runs.
+    """
+    if values is None or len(distinct := np.unique(values[np.isfinite(values)])) < 2:
         return ()
-    if len(numbers) <= _APART:
-        bounds = [(float(v), float(v)) for v in numbers]
+    if len(distinct) <= _APART:
+        bounds = [(float(value), float(value)) for value in distinct]
     else:
         edges = np.unique(np.quantile(values[np.isfinite(values)], np.linspace(0, 1, _BINS + 1)))
-        bounds = [(float(a), float(np.nextafter(b, -np.inf))) for a, b in pairwise(edges)]
+        bounds = [(float(low_edge), float(np.nextafter(high_edge, -np.inf))) for low_edge, high_edge in pairwise(edges)]
         bounds[-1] = (bounds[-1][0], float(edges[-1]))
     return tuple(
-        Group(group.names, share_of(done[chosen]), low, high)
-        for group, mine in groups
+        Group(group.names, share_of(done[rows]), low, high)
+        for group, members in groups
         for low, high in bounds
-        if (chosen := mine & (values >= low) & (values <= high)).any()
+        if (rows := members & (values >= low) & (values <= high)).any()
     )
 
 
 def _symbols(
     table: dict[str, list[Any]], groups: list[tuple[Group, Rows]], done: Rows
 ) -> tuple[tuple[str, int, int], ...]:
-    reached, total = (_numbers(table, name) for name in ("symbols_completed", "symbols_total"))
-    symbols = np.zeros(len(done)) if reached is None else np.nan_to_num(reached + 1)
-    if total is not None:
+    """Return the number of failed runs of each group by the symbol at which they failed.
+
+    An entry has the group's label, the number of the symbol from 1, or 0 if it is unknown, and the number of runs.
+
+    Args:
+        table: columns of the table.
+        groups: groups and their rows.
+        done: True (K,) for completed runs.
+    """
+    completed_symbols, all_symbols = (_numbers(table, name) for name in ("symbols_completed", "symbols_total"))
+    symbols = np.zeros(len(done)) if completed_symbols is None else np.nan_to_num(completed_symbols + 1)
+    if all_symbols is not None:
         # All symbols were done, but end, wraps or limits failed: the failure is after the last.
-        symbols = np.fmin(symbols, total + 1)
-    counts = ((group.label, Counter(symbols[mine & ~done].astype(int).tolist())) for group, mine in groups)
-    return tuple((label, symbol, count) for label, some in counts for symbol, count in sorted(some.items()))
+        symbols = np.fmin(symbols, all_symbols + 1)
+    counts = ((group.label, Counter(symbols[members & ~done].astype(int).tolist())) for group, members in groups)
+    return tuple(
+        (label, symbol, count) for label, group_counts in counts for symbol, count in sorted(group_counts.items())
+    )

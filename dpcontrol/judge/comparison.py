@@ -17,7 +17,7 @@ from dpcontrol.foundation.shown import Shown
 from dpcontrol.judge.run_view import RunView
 
 MOST = 6
-"""Most runs in a comparison: as many have distinct colours."""
+"""Largest number of runs in a comparison: as many have distinct colours."""
 
 
 @dataclass(frozen=True)
@@ -86,25 +86,35 @@ def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
         raise InputError(f"{len(runs)} logs: one picture compares 1 to {MOST}")
     if len({view.arms for view in runs}) > 1:
         raise InputError("the logs are of pendulums with different numbers of arms: compare those that have the same")
-    most = max(len(view.symbols) for view in runs)
-    if not 1 <= symbol <= max(most, 1):
-        raise InputError(f"--align {symbol}: these runs have symbols 1 to {most}" if most else "no log has symbols")
-    moments = [_moment(view, symbol - 1) for view in runs]
-    latest, names = max(moments)[0], [view.path.stem for view in runs]
+    symbol_count = max(len(view.symbols) for view in runs)
+    if not 1 <= symbol <= max(symbol_count, 1):
+        raise InputError(
+            f"--align {symbol}: these runs have symbols 1 to {symbol_count}" if symbol_count else "no log has symbols"
+        )
+    alignments = [_moment(view, symbol - 1) for view in runs]
+    latest, names = max(alignments)[0], [view.path.stem for view in runs]
     names = [name if names.count(name) == 1 else f"{name} ({k})" for k, name in enumerate(names, 1)]
     compared = tuple(
         ComparedRun(name, view.delayed(latest - moment), latest - moment, alignment)
-        for name, view, (moment, alignment) in zip(names, runs, moments, strict=True)
+        for name, view, (moment, alignment) in zip(names, runs, alignments, strict=True)
     )
     return RunComparison(compared, symbol, latest)
 
 
 def _moment(view: RunView, k: int) -> tuple[float, str]:
-    done = view.crossings[k] if k < len(view.crossings) else None
-    if done is not None:
+    """Return the time at which a run is aligned with others, s, and a phrase on how the time was found.
+
+    It is the crossing of a symbol's section if the run has one, then the plan's time, then the run's start.
+
+    Args:
+        view: the run.
+        k: index of the symbol, from 0.
+    """
+    crossing_time = view.crossings[k] if k < len(view.crossings) else None
+    if crossing_time is not None:
         source = "estimated" if view.what == "estimate" else "true"
-        return done, f"by its decoded crossing ({source} angles)"
+        return crossing_time, f"by its decoded crossing ({source} angles)"
     if k < len(view.symbols):
-        reached = k < len(view.crossings)
-        return view.plan.symbols[k][0], f"by its plan's time ({'a swing' if reached else 'not done'})"
+        is_reached = k < len(view.crossings)
+        return view.plan.symbols[k][0], f"by its plan's time ({'a swing' if is_reached else 'not done'})"
     return float(view.time[0]), "by its start (no such symbol)"

@@ -20,29 +20,31 @@ def limit_uses(view: RunView) -> tuple[LimitUse, ...]:
         view: data of the run.
     """
     n, control = view.arms, view.control or {}
-    follows = ~np.isin(control.get("mode", np.zeros(len(view.time))), (Mode.STOPPED, Mode.ABORTED))
-    compared: list[tuple[str, Array, float, str, float]] = []
+    is_followed = ~np.isin(control.get("mode", np.zeros(len(view.time))), (Mode.STOPPED, Mode.ABORTED))
+    quantities: list[tuple[str, Array, float, str, float]] = []
     if view.limits is not None and view.has_cart:
         position, velocity, acceleration = view.limits
-        compared += [
+        quantities += [
             ("cart position", view.state[:, 2 * n], position, "mm", 1000.0),
             ("cart velocity", view.state[:, 2 * n + 1], velocity, "m/s", 1.0),
             *([("acceleration", control["applied"], acceleration, "m/s²", 1.0)] if "applied" in control else []),
         ]
     if view.reference is not None and view.against == "reference":
-        away = np.abs(view.state[:, :n] - view.reference[:, :n])
-        compared.append(("arm from the reference", away.max(axis=1), FOLLOWS, "rad", 1.0))
+        distances = np.abs(view.state[:, :n] - view.reference[:, :n])
+        quantities.append(("arm from the reference", distances.max(axis=1), FOLLOWS, "rad", 1.0))
     uses = []
-    for name, values, limit, unit, scale in compared:
-        sizes = np.where(follows, np.abs(values), np.nan)
+    for name, values, limit, unit, scale in quantities:
+        sizes = np.where(is_followed, np.abs(values), np.nan)
         if np.isfinite(sizes).any() and limit > 0 and np.isfinite(limit):
-            row = int(np.nanargmax(sizes))
-            uses.append(LimitUse(name, unit, scale * limit, scale * float(sizes[row]), float(view.time[row])))
+            worst_row = int(np.nanargmax(sizes))
+            uses.append(
+                LimitUse(name, unit, scale * limit, scale * float(sizes[worst_row]), float(view.time[worst_row]))
+            )
     return tuple(sorted(uses, key=lambda use: -use.share))
 
 
 def closest_approach(view: RunView) -> str:
-    """Return the closest approach to a limit in a sentence, or "" without limits.
+    """Return the closest approach to a limit in a sentence, for the page of a run, or "" without limits.
 
     Args:
         view: data of the run.
@@ -50,13 +52,13 @@ def closest_approach(view: RunView) -> str:
     uses = limit_uses(view)
     if not uses:
         return ""
-    first = uses[0]
-    word = "Beyond a limit" if first.share > 1 else "Closest to a limit"
-    return f"{word}: {first.name}, {first.sentence} ({first.share:.0%})."
+    nearest_use = uses[0]
+    word = "Beyond a limit" if nearest_use.share > 1 else "Closest to a limit"
+    return f"{word}: {nearest_use.name}, {nearest_use.sentence} ({nearest_use.share:.0%})."
 
 
 def nis_reading(view: RunView) -> str:
-    """Return the mean NIS of a run and its meaning in a sentence, or "" without a NIS.
+    """Return the mean NIS of a run and its meaning in a sentence, for its page, or "" without a NIS.
 
     Args:
         view: data of the run.

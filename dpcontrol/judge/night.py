@@ -43,7 +43,14 @@ _GAP = 0.5
 
 @dataclass(frozen=True)
 class NightSpan:
-    """A part of a night of one kind, with times in s and the `cause` of the preceding fall, or ""."""
+    """A part of a night of one kind, such as "braking".
+
+    Attributes:
+        first: begin, s.
+        end: end, s.
+        kind: activity.
+        cause: cause of the preceding fall, or "".
+    """
 
     first: float
     end: float
@@ -53,9 +60,13 @@ class NightSpan:
 
 @dataclass(frozen=True)
 class Fall:
-    """A fall at a time s, with its cause and logged text.
+    """A fall off the itinerary, or of a flight back to it.
 
-    `back` is the time until the itinerary was joined again, s, from the first of consecutive falls, or None.
+    Attributes:
+        time: time of the fall, s.
+        cause: cause of the fall.
+        text: logged text.
+        back: time until the itinerary was joined again, s, from the first of consecutive falls, or None.
     """
 
     time: float
@@ -66,9 +77,13 @@ class Fall:
 
 @dataclass(frozen=True)
 class Drift:
-    """Course of one estimated parameter: its means over the first file and the last, and the change per hour.
+    """Course of one estimated parameter, which shows a drift of the bench.
 
-    The change is that of a straight line through the files' means; not-a-number for a single file.
+    Attributes:
+        name: name of the parameter.
+        first: mean over the first file.
+        last: mean over the last file.
+        per_hour: change per hour by a straight line through the files' means; not-a-number for a single file.
     """
 
     name: str
@@ -108,11 +123,12 @@ class Night(Shown, Documented):
         return self.failure and f"ended early: {self.failure}"
 
     def _time(self, *kinds: str) -> float:
+        """Return the total time of spans of these kinds, s, such as that on the itinerary."""
         return sum(span.end - span.first for span in self.spans if span.kind in kinds)
 
     @property
     def known(self) -> float:
-        """Time with known activity, s."""
+        """Time with a log, s, to which shares and rates refer."""
         return sum(digest.end - digest.first for digest in self.digests)
 
     @property
@@ -178,25 +194,39 @@ class Night(Shown, Documented):
         """
         check_choice("parameter", self.estimated, name)
         with_parameter = [digest for digest in self.digests if name in digest.extras]
-        least = _SHORT * max(digest.end - digest.first for digest in with_parameter)
-        long = [digest for digest in with_parameter if digest.end - digest.first >= least]
-        return np.array([(d.first + d.end) / 7200 for d in long]), np.array([d.extras[name][0] for d in long])
+        shortest = _SHORT * max(digest.end - digest.first for digest in with_parameter)
+        long_digests = [digest for digest in with_parameter if digest.end - digest.first >= shortest]
+        return np.array(
+            [(digest_of_file.first + digest_of_file.end) / 7200 for digest_of_file in long_digests]
+        ), np.array([digest_of_file.extras[name][0] for digest_of_file in long_digests])
 
     @property
     def drifts(self) -> tuple[Drift, ...]:
         """Courses of the estimated parameters."""
         courses = {name: self.course(name) for name in self.estimated}
         return tuple(
-            Drift(name, float(m[0]), float(m[-1]), float(np.polyfit(hours, m, 1)[0]) if len(m) > 1 else math.nan)
-            for name, (hours, m) in courses.items()
+            Drift(
+                name,
+                float(means[0]),
+                float(means[-1]),
+                float(np.polyfit(hours, means, 1)[0]) if len(means) > 1 else math.nan,
+            )
+            for name, (hours, means) in courses.items()
         )
 
     @property
     def memory_growth(self) -> float:
-        """Final memory of the process relative to the session's first file, not-a-number if unknown."""
-        last = self.digests[-1]
-        of_session = [d.memory for d in self.digests if d.session == last.session and math.isfinite(d.memory)]
-        return of_session[-1] / of_session[0] if of_session else math.nan
+        """Final memory of the process relative to the session's first file, not-a-number if unknown.
+
+        A leak would end a long run.
+        """
+        last_digest = self.digests[-1]
+        memories = [
+            digest.memory
+            for digest in self.digests
+            if digest.session == last_digest.session and math.isfinite(digest.memory)
+        ]
+        return memories[-1] / memories[0] if memories else math.nan
 
     @property
     def unlogged(self) -> tuple[NightSpan, ...]:
@@ -220,10 +250,10 @@ class Night(Shown, Documented):
         if len(self.returns):
             median, slowest = np.quantile(self.returns, [0.5, 0.99])
             back = f", back on it after {median:.1f} s in the median, 99 % within {slowest:.1f} s"
-        caught = f"caught {self.catches} time{'s' * (self.catches > 1)}, " if self.catches else ""
+        catches = f"caught {self.catches} time{'s' * (self.catches > 1)}, " if self.catches else ""
         return (
             f"{hours:.3g} hours: {self.uptime:.1%} of the time on the itinerary, {self.repetitions} repetitions; "
-            f"{caught}{len(self.falls)} fall{'s' * (len(self.falls) != 1)} ({self.falls_per_hour:.3g} an hour){back}"
+            f"{catches}{len(self.falls)} fall{'s' * (len(self.falls) != 1)} ({self.falls_per_hour:.3g} an hour){back}"
         )
 
     def document(self) -> dict[str, Any]:
@@ -231,19 +261,19 @@ class Night(Shown, Documented):
         quantiles = np.quantile(self.returns, [0.5, 0.99]).tolist() if len(self.returns) else [None, None]
         # Falls that took the run off its itinerary.
         ends = [span.end for span in self.spans if span.kind == ITINERARY]
-        left = [fall for fall in self.falls if np.isclose(ends, fall.time, rtol=0, atol=1e-6).any()]
-        lost = [picked(span, "first", "end") for span in self.unlogged]
+        departures = [fall for fall in self.falls if np.isclose(ends, fall.time, rtol=0, atol=1e-6).any()]
+        unlogged_times = [picked(span, "first", "end") for span in self.unlogged]
         return {
             "log": self.folder, "hours": self.known / 3600, "files": len(self.digests),
             "files_kept": len([*self.folder.glob("*.mcap")]),
-            "sessions": len({d.session for d in self.digests}),
+            "sessions": len({digest.session for digest in self.digests}),
             "uptime": self.uptime, "repetitions": self.repetitions, "falls": len(self.falls),
             "catches": self.catches, "falls_per_hour": self.falls_per_hour, "causes": self.causes,
             "return_median": quantiles[0], "return_99": quantiles[1],
-            "not_back": sum(fall.back is None for fall in left),
+            "not_back": sum(fall.back is None for fall in departures),
             "stop_hits": self.stop_hits, "max_cart_position": self.cart, "rms_tracking_error": self.tracking,
             "seconds": {kind: self._time(kind) for kind in (ITINERARY, BRAKING, FLYING, BETWEEN)},
-            "not_logged": lost, "endings": [picked(end, "time", "text", "cause") for end in self.endings],
+            "not_logged": unlogged_times, "endings": [picked(end, "time", "text", "cause") for end in self.endings],
             "drift": [asdict(drift) for drift in self.drifts],
             "memory_growth": self.memory_growth, "deadlines": self.deadlines, "partials": list(self.partials),
         }  # fmt: skip
@@ -270,47 +300,55 @@ class Night(Shown, Documented):
 
 
 def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[Event]]:
-    """Return the spans and falls of digests in order, and the events of endings but by the planned time.
+    """Return the spans, falls and early endings of a night, from the events of its digests in order.
+
+    Spans are the times on the itinerary, braking, in flight, and so on. Endings at the planned time are left out.
 
     Args:
         digests: digests in order.
     """
     falls: list[Fall] = []
     endings: list[Event] = []
-    end, left = digests[0].first, None
-    turns = [(end, STOPPED, "")]
+    end, first_fall = digests[0].first, None
+    changes = [(end, STOPPED, "")]
 
-    def turn(time: float, kind: str, cause: str = "") -> None:
-        if turns[-1][1:] != (kind, cause):
-            turns.append((time, kind, cause))
+    def change(time: float, kind: str, cause: str = "") -> None:
+        """Begin a span of another kind at a time, unless the present one is the same."""
+        if changes[-1][1:] != (kind, cause):
+            changes.append((time, kind, cause))
 
+    # `first_fall` is the index of the fall that began the present absence, None on the itinerary.
     for digest in digests:
         if digest.first > end + _GAP:
-            turn(end, UNKNOWN)
-            turn(digest.first, ITINERARY if digest.on else STOPPED)
-            left = None
+            change(end, UNKNOWN)
+            change(digest.first, ITINERARY if digest.on else STOPPED)
+            first_fall = None
         for event in digest.events:
-            (_, kind, cause), time, name = turns[-1], event.time, event.name
+            (_, kind, cause), time, name = changes[-1], event.time, event.name
             if name in (RESUME, LAP):
-                if left is not None:
-                    falls[left] = replace(falls[left], back=time - falls[left].time)
-                    left = None
-                turn(time, ITINERARY)
+                if first_fall is not None:
+                    falls[first_fall] = replace(falls[first_fall], back=time - falls[first_fall].time)
+                    first_fall = None
+                change(time, ITINERARY)
             elif name == RETURN and event.level == "info":
-                turn(time, BETWEEN)
+                change(time, BETWEEN)
             elif name == RETURN:
-                left = len(falls) if left is None else left
+                first_fall = len(falls) if first_fall is None else first_fall
                 falls.append(Fall(time, event.cause, event.text))
-                turn(time, BRAKING, falls[left].cause)
+                change(time, BRAKING, falls[first_fall].cause)
             elif name == FLIGHT and kind not in (STOPPED, ITINERARY):
-                turn(time, kind if kind == BETWEEN else FLYING if event.level == "info" else BRAKING, cause)
+                change(time, kind if kind == BETWEEN else FLYING if event.level == "info" else BRAKING, cause)
             elif name in ENDINGS:
                 if name != "finished":
                     endings.append(event)
-                turn(time, STOPPED)
+                change(time, STOPPED)
         end = digest.end
-    ends = [*(time for time, _, _ in turns[1:]), end]
-    spans = [NightSpan(turn[0], then, *turn[1:]) for turn, then in zip(turns, ends, strict=True) if then > turn[0]]
+    ends = [*(time for time, _, _ in changes[1:]), end]
+    spans = [
+        NightSpan(change[0], end_of_span, *change[1:])
+        for change, end_of_span in zip(changes, ends, strict=True)
+        if end_of_span > change[0]
+    ]
     return spans, falls, endings
 
 
@@ -331,22 +369,27 @@ def read_night(folder: Path) -> Night:
         )
     partials = partials_of(folder / folder.resolve().name)
     # Partial files with a recovered log are not reported.
-    left = [file for file in partials if not (folder / f"{file.name.partition('.mcap')[0]}.mcap").exists()]
-    return Night(folder, tuple(digests), tuple(left), *followed(digests))
+    unrecovered = [file for file in partials if not (folder / f"{file.name.partition('.mcap')[0]}.mcap").exists()]
+    return Night(folder, tuple(digests), tuple(unrecovered), *followed(digests))
 
 
 def _digests(folder: Path) -> Iterator[Digest]:
+    """Yield the digests of a night's files in order: figures and events of each log.
+
+    A night is evaluated from them, without reading hours of logs. A digest that is missing or old, as after a killed
+    run, is computed from its log.
+    """
     name = folder.resolve().name
     numbers = sorted({file.stem for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json")})
     for stem in numbers:
-        log, beside = folder / f"{stem}.mcap", folder / f"{stem}.json"
+        log, digest_file = folder / f"{stem}.mcap", folder / f"{stem}.json"
         size = log.stat().st_size if log.is_file() else None
         digest = None
         with suppress(OSError, ValueError, TypeError, KeyError):
-            digest = Digest.of(beside.read_text(encoding="utf-8"))
+            digest = Digest.of(digest_file.read_text(encoding="utf-8"))
         if digest is not None and size in (None, digest.size):
             yield digest
         elif size is not None:
             yield digest_of_log(read_log(log), size=size)
         else:
-            raise InputError(f"{beside} is damaged, and its log was thinned; remove it to score the other files")
+            raise InputError(f"{digest_file} is damaged, and its log was thinned; remove it to score the other files")

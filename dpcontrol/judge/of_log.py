@@ -52,16 +52,20 @@ from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.words.runs import lost
 
 STRANDS = 24
+"""Number of trajectories that are drawn of a tube."""
 INSTANTS = 160
+"""Number of states that are drawn of each of these trajectories."""
 _HEIGHT = 1e-6
+"""Largest distance of a state from a section on which it lies, in units of the section's value."""
 _CUT = CutSettings(smallest_phase_step=3e-4)
 """Least visible distance; if doubling the phases brings neighbours no nearer, a cut is drawn open."""
 
 
 def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
-    """Return the tubes of a plan, each once.
+    """Return the tubes along which a plan's symbols lead, each once, for phase planes and the viewer.
 
-    Tubes of three arms have no sections, and older plans do not store their orbits.
+    A symbol leaves along the unstable tube of one stop's orbit, and arrives along the stable tube of the next. Tubes of
+    three arms have no sections, and older plans do not store their orbits.
 
     Args:
         content: content of the plan.
@@ -70,8 +74,8 @@ def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
     if any(symbol.section for symbol in content.symbols) and not installed("heyoka"):
         remark("the tubes along the way are not shown: heyoka is not installed")
         return ()
-    sections = {s.name: s for s in (*system.sections.values(), *system.named_sections.values())}
-    flown = cache(lambda index, name, **tube: tuple(_flown(system, content.orbits[index], sections[name], **tube)))
+    sections = {section.name: section for section in (*system.sections.values(), *system.named_sections.values())}
+    branches = cache(lambda index, name, **tube: tuple(_flown(system, content.orbits[index], sections[name], **tube)))
     tubes: dict[tuple[Any, ...], TubeCurve] = {}
     for symbol, *stops in zip(content.symbols, content.stops, content.stops[1:], strict=False):
         if symbol.section is None or symbol.section.name not in sections:
@@ -79,14 +83,19 @@ def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
         name, height = symbol.section.name, symbol.section.value
         for stable, stop, hit in zip((False, True), stops, symbol.section.hits, strict=True):
             index, lift = stop.orbits[0 if stable else 1], content.lift(stop)
-            curves = _at(flown(index, name, hit=hit, stable=stable), sections[name], lift=lift, height=height)
-            place = (index, name, hit, stable, *np.rint(lift).tolist(), round(height, 6))
-            tubes |= {(*place, branch): curve for branch, curve in enumerate(curves)}
+            curves = _at(branches(index, name, hit=hit, stable=stable), sections[name], lift=lift, height=height)
+            key = (index, name, hit, stable, *np.rint(lift).tolist(), round(height, 6))
+            tubes |= {(*key, branch): curve for branch, curve in enumerate(curves)}
     return tuple(tubes.values())
 
 
 def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
-    """Return the Lyapunov orbit whose state and period a plan stores."""
+    """Return the Lyapunov orbit whose state and period a plan stores, as the base of a tube.
+
+    Args:
+        system: conservative pendulum of the plan.
+        place: orbit in the plan.
+    """
     state, period = np.array(place.state), place.free_period
     end, monodromy = system.propagator.flow_with_stm(state, period)
     residual = float(np.abs(end - state).max())
@@ -105,10 +114,19 @@ def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
 
 
 def _flown(system: System, place: PlanOrbit, section: Section, *, hit: int, stable: bool) -> Iterator[TubeCurve]:
-    """Yield both branches of an orbit's tube at the untranslated orbit."""
+    """Yield both branches of an orbit's tube up to a section, before they are moved by the whole turns of a stop.
+
+    Args:
+        system: conservative pendulum of the plan.
+        place: orbit in the plan.
+        section: section that cuts the tube.
+        hit: number of the section crossing that is the cut, from 1.
+        stable: True for the stable tube, which is the unstable one reversed in time.
+    """
     orbit = _lyapunov(system, place)
     manifold = UnstableManifold(orbit)
     cut = tube_cut(manifold, section, hit=hit, settings=_CUT)
+    # A row of NaN separates the pieces of a cut, so that no line joins them.
     gap = np.full((1, system.dimension), np.nan)
     for branch in (1, -1):
         pieces = [piece for piece in cut.pieces if piece.branch == branch]
@@ -116,18 +134,33 @@ def _flown(system: System, place: PlanOrbit, section: Section, *, hit: int, stab
             continue
         phases = np.concatenate([piece.phases for piece in pieces]) % 1.0
         times = np.concatenate([piece.times for piece in pieces])
-        chosen = list(dict.fromkeys(int(np.argmin(np.abs(phases - k / STRANDS))) for k in range(STRANDS)))
-        seeds, _ = manifold.seeds(phases[chosen], branch)
-        instants = np.linspace(0.0, times[chosen], INSTANTS, axis=1)
+        strand_rows = list(dict.fromkeys(int(np.argmin(np.abs(phases - k / STRANDS))) for k in range(STRANDS)))
+        seeds, _ = manifold.seeds(phases[strand_rows], branch)
+        instants = np.linspace(0.0, times[strand_rows], INSTANTS, axis=1)
         strands = np.array([system.propagator.sample(*flight) for flight in zip(seeds, instants, strict=True)])
-        ends = np.vstack([part for p in pieces for part in (p.states, p.states[: int(p.closed)], gap)])
+        cut_states = np.vstack(
+            [
+                part
+                for cut_piece in pieces
+                for part in (cut_piece.states, cut_piece.states[: int(cut_piece.closed)], gap)
+            ]
+        )
         if stable:
-            strands, ends = ((states - orbit.centre) @ orbit.reverser.T + orbit.centre for states in (strands, ends))
-        yield TubeCurve(stable, strands, ends)
+            strands, cut_states = (
+                (states - orbit.centre) @ orbit.reverser.T + orbit.centre for states in (strands, cut_states)
+            )
+        yield TubeCurve(stable, strands, cut_states)
 
 
 def _at(curves: Iterable[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
-    """Yield the parts of the tubes at a lifted section height, moved by whole turns (n,)."""
+    """Yield the parts of tubes that meet the section at the plan's height, moved by the stop's whole turns.
+
+    Args:
+        curves: branches of a tube from `_flown`.
+        section: section of the symbol.
+        lift: whole turns (n,) of the stop, rad.
+        height: value of the section's coordinate in the plan, rad.
+    """
     move, normal = np.pad(lift, (0, len(lift))), np.asarray(section.normal)
     for curve in curves:
         strands, cut = curve.strands + move, curve.cut + move
@@ -138,7 +171,9 @@ def _at(curves: Iterable[TubeCurve], section: Section, *, lift: Array, height: f
 
 
 def run_view(log: RunLog) -> RunView:
-    """Return the data to draw of a log, of which a log without a plan, as from a bench, has few.
+    """Return the data to draw of a log: series, plan, verdict and decoded itinerary.
+
+    A log without a plan, such as a recording from a bench, has series only.
 
     Args:
         log: log of a run or a recording.
@@ -156,9 +191,9 @@ def run_view(log: RunLog) -> RunView:
     if states is None or lacking(log):
         return replace(view, verdict=_without_plan(log))
     plan, verdict = plan_of(log), score(log)
-    planned = plan_view(plan, system=system)
+    planned_view = plan_view(plan, system=system)
     if verdict.falls or verdict.catches:
-        planned, decoded = _with_falls(log, states, plan, planned)
+        planned_view, decoded = _with_falls(log, states, plan, planned_view)
     else:
         decoded = decode_run(log.time, states[:, :n], plan)
     seed = "" if verdict.seed is None else f", seed {verdict.seed}"
@@ -168,7 +203,7 @@ def run_view(log: RunLog) -> RunView:
         limits=log.limits or limits_of(plan),
         verdict=verdict.sentence,
         good=verdict.completed,
-        plan=planned,
+        plan=planned_view,
         done=tuple(
             Stay(float(log.time[visit.first]), float(log.time[visit.last]), stop.saddle, stop.saddle)
             for visit, stop in zip(decoded.visits, plan.content.stops, strict=False)
@@ -178,26 +213,35 @@ def run_view(log: RunLog) -> RunView:
 
 
 def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) -> tuple[PlanView, Decoded]:
-    """Return plan and decoded ticks of a run with falls, both on the clock of the run."""
+    """Return plan and decoded ticks of a run with falls, both on the clock of the run.
+
+    The plan's clock stands still during a fall, so its times are moved to the ticks that count.
+
+    Args:
+        log: log of the run.
+        states: states (K, 2n+2) by which it is judged.
+        plan: reference of the plan.
+        planned: view of the plan on the plan's clock.
+    """
     n, stretches = len(log.arm_lengths), stretches_of(log)
-    flown = Flown(
+    motion = Flown(
         log.time, states, log.reference[:, :n], log.control["applied"], log.rate_hz, log.limits, stretches=stretches
     )
-    run = spliced(flown, plan)
+    counted_motion = spliced(motion, plan)
     rows = np.concatenate([rows for rows, _ in counted(stretches, rate_hz=log.rate_hz)])
-    decoded = decode_run(run.time, run.angles, plan)
+    decoded = decode_run(counted_motion.time, counted_motion.angles, plan)
 
     def clock(time: float) -> float:
-        return float(np.interp(time, run.time, log.time[rows]))
+        return float(np.interp(time, counted_motion.time, log.time[rows]))
 
-    visits = (replace(v, first=int(rows[v.first]), last=int(rows[v.last])) for v in decoded.visits)
-    crossings = tuple(None if at is None else clock(at) for at in decoded.crossings)
-    by_clock = replace(planned.timed(clock), duration=float(log.time[-1]))
-    return by_clock, replace(decoded, visits=tuple(visits), crossings=crossings)
+    visits = (replace(visit, first=int(rows[visit.first]), last=int(rows[visit.last])) for visit in decoded.visits)
+    crossings = tuple(None if crossing_time is None else clock(crossing_time) for crossing_time in decoded.crossings)
+    plan_on_run_clock = replace(planned.timed(clock), duration=float(log.time[-1]))
+    return plan_on_run_clock, replace(decoded, visits=tuple(visits), crossings=crossings)
 
 
 def limits_of(plan: Reference) -> tuple[float, float, float]:
-    """Return the cart's limits in a plan: position in m, velocity in m/s, and acceleration in m/s².
+    """Return the cart's limits in a plan, as views and scores use them: position m, velocity m/s, acceleration m/s².
 
     Args:
         plan: reference with limits.
@@ -222,9 +266,9 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
         symbols=tuple((symbol.time, symbol.text) for symbol in content.symbols),
         tubes=() if system is None else tubes_of(content, system),
         planned=tuple(
-            Stay(a, b, stop.saddle, stop.saddle)
+            Stay(begin, end, stop.saddle, stop.saddle)
             for (first, last), stop in zip(pairwise(edges), content.stops, strict=True)
-            for a, b in _outside(content.transfers, first, last)
+            for begin, end in _outside(content.transfers, first, last)
         ),
         transfers=content.transfers,
         duration=plan.duration,
@@ -232,25 +276,31 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
 
 
 def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: float) -> Iterator[tuple[float, float]]:
-    """Yield the parts of a time range that no transfer covers."""
-    within = [way for way in transfers if way[1] > first and way[0] < last]
-    edges = [first, *(time for way in within for time in way), last]
-    yield from ((a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a < b)
+    """Yield the parts of a time range that no transfer covers, s; a plan's stays are drawn there.
+
+    Args:
+        transfers: begin and end of each transfer, s.
+        first: begin of the range, s.
+        last: end of the range, s.
+    """
+    overlapping = [transfer for transfer in transfers if transfer[1] > first and transfer[0] < last]
+    edges = [first, *(time for transfer in overlapping for time in transfer), last]
+    yield from ((begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if begin < end)
 
 
 def _placed_orbits(content: PlanContent) -> tuple[PlanOrbit, ...]:
-    """Return the orbits of a plan on the turns of each of its stops."""
-    placed: dict[tuple[Any, ...], PlanOrbit] = {}
+    """Return the orbits of a plan, moved by the whole turns of each of its stops, for phase planes."""
+    orbits: dict[tuple[Any, ...], PlanOrbit] = {}
     for stop in content.stops:
         lift = content.lift(stop)
         for k in stop.orbits:
             curve = content.orbits[k].curve + np.pad(lift, (0, len(lift)))
-            placed[(k, *np.rint(lift).tolist())] = replace(content.orbits[k], curve=curve)
-    return tuple(placed.values())
+            orbits[(k, *np.rint(lift).tolist())] = replace(content.orbits[k], curve=curve)
+    return tuple(orbits.values())
 
 
 def _without_plan(log: RunLog) -> str:
-    """Return the text shown for a log in place of a verdict."""
+    """Return the text that a view shows in place of a verdict for a log without a plan."""
     seconds = float(log.time[-1] - log.time[0])
     sentence = log.metadata.get(SUMMARY) or (
         f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; the log has no "
@@ -260,12 +310,11 @@ def _without_plan(log: RunLog) -> str:
 
 
 def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
-    """Return the known true values of the estimated parameters.
+    """Return the true values of the estimated parameters by name, as far as a simulated log has them.
 
-    Only simulated logs have them; see `RunView`.
-
-    With the cart's acceleration as input only ratios to M12 count (one arm: M11), so the errors are those of ratios.
-    The drive's error is the cart's acceleration in excess of the loop's command.
+    Views draw them beside the estimates; see `RunView`. With the cart's acceleration as input only ratios to M12 count
+    (one arm: M11), so the errors are those of ratios. The drive's error is the cart's acceleration in excess of the
+    loop's command.
 
     Args:
         log: log of a run.
@@ -273,30 +322,30 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
     """
     if log.extras is None:
         return {}
-    drawn = json.loads(log.metadata.get(DRAWN_METADATA, "{}"))
+    drawn_values = json.loads(log.metadata.get(DRAWN_METADATA, "{}"))
     extras: dict[str, Array | float] = {
-        f"zero_{i}": float(zero) for i, zero in enumerate(np.cumsum(drawn.get("zeros", [])), start=1)
+        f"zero_{i}": float(zero) for i, zero in enumerate(np.cumsum(drawn_values.get("zeros", [])), start=1)
     }
     model, plant = arms_in(log, MODEL_METADATA), arms_in(log, PLANT_METADATA)
     if model is not None and plant is not None and model.count == plant.count:
         extras |= _relative_errors(model, plant)
     if view.control is not None and {ACTUAL, "applied"} <= view.control.keys() and len(log.time):
         # A mean over the ticks between two messages; in single ticks the command's noise dominates.
-        beyond = view.control[ACTUAL] - view.control["applied"]
-        width = min(max(1, round(view.rate_hz / SLOW_RATE)), len(beyond))
-        smooth = np.convolve(np.nan_to_num(beyond), np.full(width, 1 / width), mode="same")
-        extras["drive"] = np.interp(log.extras.time, log.time, smooth)
+        excess = view.control[ACTUAL] - view.control["applied"]
+        width = min(max(1, round(view.rate_hz / SLOW_RATE)), len(excess))
+        mean_excess = np.convolve(np.nan_to_num(excess), np.full(width, 1 / width), mode="same")
+        extras["drive"] = np.interp(log.extras.time, log.time, mean_excess)
     return {name: value for name, value in extras.items() if name in log.extras.names}
 
 
 def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> dict[str, float]:
-    """Return the relative differences between the plant's and the model's ratios, by extra."""
+    """Return the relative differences between the plant's and the model's ratios, by the estimated parameter's name."""
     n = model.count
     names = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)]
     # Weights lie between inertias and couplings and share the couplings' errors.
     names += ["" for _ in range(n)] + [f"S{i}" for i in range(1, n + 1)] + [f"friction_{i}" for i in range(1, n + 1)]
-    fixed = names.index("M12" if n > 1 else "M11")
-    ratios = [arms.base()[: len(names)] / arms.base()[fixed] for arms in (plant, model)]
+    unit_index = names.index("M12" if n > 1 else "M11")
+    ratios = [arms.base()[: len(names)] / arms.base()[unit_index] for arms in (plant, model)]
     with np.errstate(divide="ignore", invalid="ignore"):
         errors = dict(zip(names, (ratios[0] / ratios[1] - 1).tolist(), strict=True))
     # With additional friction laws a single number cannot describe the error.
@@ -308,13 +357,16 @@ def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> di
     }
 
 
-_RATE = 500.0  # Hz
-_POINTS = 600  # of an orbit
-_ARM = 0.2  # m: arm length drawn for a reference without arms
+_RATE = 500.0
+"""Rate at which references and orbits are sampled for drawing, Hz."""
+_POINTS = 600
+"""Number of points of a drawn Lyapunov orbit."""
+_ARM = 0.2
+"""Arm length that is drawn for a reference without arms, m."""
 
 
 def reference_view(reference: Reference, path: Path) -> RunView:
-    """Return the data to draw of a reference, with the command as its input.
+    """Return the data to draw of a reference as if it were a run, with its input as the command.
 
     Args:
         reference: reference, with or without a plan.
@@ -325,7 +377,7 @@ def reference_view(reference: Reference, path: Path) -> RunView:
     plan = plan_view(reference, system=system)
     time = np.arange(reference.mesh[0], reference.mesh[-1], 1 / _RATE)
     states = reference.state(time)
-    state = "" if reference.converged else "NOT CONVERGED: "
+    warning = "" if reference.converged else "NOT CONVERGED: "
     effort = f"{reference.duration:.4g} s, {reference.rms_cart_acceleration:.3g} m/s² rms"
     return RunView(
         path=path,
@@ -340,7 +392,7 @@ def reference_view(reference: Reference, path: Path) -> RunView:
         energy=reference.energies(states),
         limits=limits_of(reference),
         metadata={} if content is None else {"program": content.origin.program},
-        verdict=f"{state}{reference.status}; {effort}",
+        verdict=f"{warning}{reference.status}; {effort}",
         good=None if reference.converged else False,
         plan=plan,
         source=reference,
@@ -348,7 +400,7 @@ def reference_view(reference: Reference, path: Path) -> RunView:
 
 
 def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> RunView:
-    """Return the data to draw of a sustained orbit's period, and its Lyapunov orbit.
+    """Return the data to draw of one period of a sustained orbit, and of its Lyapunov orbit.
 
     Args:
         orbit: the sustained orbit.
@@ -357,7 +409,7 @@ def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> Run
     lyapunov = orbit.lyapunov
     time = np.arange(0.0, orbit.period, 1 / _RATE)
     states = orbit.state(time)
-    free = lyapunov.system.propagator.sample(lyapunov.state, np.linspace(0.0, lyapunov.period, _POINTS))
+    free_orbit = lyapunov.system.propagator.sample(lyapunov.state, np.linspace(0.0, lyapunov.period, _POINTS))
     effort = f"{orbit.reference.rms_cart_acceleration:.3g} m/s² rms"
     return RunView(
         path=Path(),
@@ -373,6 +425,8 @@ def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> Run
         limits=limits_of(orbit.reference),
         verdict=f"period {orbit.period:.5g} s, {effort}, within {orbit.departure:.2g} of the Lyapunov orbit (scaled)",
         plan=PlanView(
-            orbits=(PlanOrbit(lyapunov.saddle, orbit.energy, lyapunov.period, lyapunov.unstable_multiplier, free),)
+            orbits=(
+                PlanOrbit(lyapunov.saddle, orbit.energy, lyapunov.period, lyapunov.unstable_multiplier, free_orbit),
+            )
         ),
     )

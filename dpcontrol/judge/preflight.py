@@ -25,7 +25,13 @@ def shown_number(value: float) -> str:
 
 @dataclass(frozen=True)
 class Assumption:
-    """A known property of the bench, as text, and its source."""
+    """A property of the bench on which the forecast depends.
+
+    Attributes:
+        name: name of the property.
+        value: its value as text.
+        source: origin of the value, such as a setting.
+    """
 
     name: str
     value: str
@@ -34,7 +40,14 @@ class Assumption:
 
 @dataclass(frozen=True)
 class EndingShare:
-    """Number of failed runs with one cause, and a seed with its reason."""
+    """Number of failed runs with one cause, and one of them as an example.
+
+    Attributes:
+        cause: cause of the failure.
+        runs: number of runs.
+        seed: seed of the example.
+        example: reason of its verdict, a sentence.
+    """
 
     cause: str
     runs: int
@@ -44,7 +57,14 @@ class EndingShare:
 
 @dataclass(frozen=True)
 class ShareAt:
-    """Completed runs at a value of a trouble, and those of the same seeds on the described bench."""
+    """Completed runs at one value of a trouble, compared with runs of the same seeds on the described bench.
+
+    Attributes:
+        value: value of the trouble.
+        runs: number of runs.
+        completed: number of completed ones.
+        reference: number of completed runs of the same seeds on the described bench.
+    """
 
     value: float
     runs: int
@@ -90,14 +110,17 @@ class HazardBorder(Documented):
 
     @property
     def margin(self) -> float | None:
-        """Factor by which the bench may worsen, None without this trouble or without a known border."""
+        """Factor by which the bench may worsen until half its completed runs are lost.
+
+        The factor is None without this trouble or without a known border.
+        """
         if self.border is None or not self.set or math.isinf(self.set):
             return None
         return self.set / self.border if self.falling else self.border / self.set
 
     @property
     def own(self) -> str:
-        """The bench's value, as text."""
+        """The bench's value of the trouble, as text."""
         return "none" if math.isinf(self.set) else f"{shown_number(self.set)} {self.unit}"
 
     @property
@@ -114,7 +137,7 @@ class HazardBorder(Documented):
 
     @property
     def sentence(self) -> str:
-        """Position of the border, as text."""
+        """Place of the border, as text: about its value, or beyond the last value tried."""
         if self.border is None:
             return f"{'below' if self.falling else 'beyond'} {shown_number(self.end)} {self.unit}"
         return f"{'' if self.sure else 'about '}{shown_number(self.border)} {self.unit}"
@@ -145,13 +168,13 @@ class Improvement(Documented):
 
     @property
     def gain(self) -> float:
-        """Increase of the share of completed runs."""
-        up = (1 - self.rate) * self.rescued / max(self.failing, 1)
-        return up - self.rate * self.lost / max(self.completing, 1)
+        """Increase of the share of completed runs by the change, as a difference of shares."""
+        increase = (1 - self.rate) * self.rescued / max(self.failing, 1)
+        return increase - self.rate * self.lost / max(self.completing, 1)
 
     @property
     def error(self) -> float:
-        """Standard error of the gain.
+        """Standard error of the gain, from binomial counts.
 
         Two more of each kind keep it above zero (Agresti and Coull, 1998).
         """
@@ -215,13 +238,17 @@ class Preflight(Shown, Documented):
     @property
     def advice(self) -> str:
         """Sentence on the best change, or on the nearest border."""
-        best = self.changes[0] if self.changes else None
-        if best is not None and best.gain > 2 * best.error:
-            return f"{best.text} would gain most: {100 * best.gain:+.0f} points of {self.share.rate:.0%}"
-        nearest = next((b for b in self.borders if b.margin is not None), None)
-        at = "" if nearest is None else f"; the nearest border is that of {nearest.name}, at {nearest.sentence}"
-        none = "no run failed, so no change can help" if best is None else "no change gains more than chance"
-        return none + at
+        best_change = self.changes[0] if self.changes else None
+        if best_change is not None and best_change.gain > 2 * best_change.error:
+            return f"{best_change.text} would gain most: {100 * best_change.gain:+.0f} points of {self.share.rate:.0%}"
+        nearest = next((border for border in self.borders if border.margin is not None), None)
+        border_text = (
+            "" if nearest is None else f"; the nearest border is that of {nearest.name}, at {nearest.sentence}"
+        )
+        no_change_text = (
+            "no run failed, so no change can help" if best_change is None else "no change gains more than chance"
+        )
+        return no_change_text + border_text
 
     @property
     def ending_shares(self) -> list[dict[str, Any]]:

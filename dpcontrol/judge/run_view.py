@@ -80,7 +80,7 @@ class PlanView:
     duration: float | None = None
 
     def timed(self, clock: Callable[[float], float]) -> "PlanView":
-        """Return the plan on another clock.
+        """Return the plan with all times on another clock, such as that of a run.
 
         Args:
             clock: function of a time of the plan, s, that returns that of the clock.
@@ -89,13 +89,13 @@ class PlanView:
             self,
             symbols=tuple((clock(at), name) for at, name in self.symbols),
             planned=timed(self.planned, clock),
-            transfers=tuple((clock(a), clock(b)) for a, b in self.transfers),
+            transfers=tuple((clock(begin), clock(end)) for begin, end in self.transfers),
             duration=None if self.duration is None else clock(self.duration),
         )
 
 
 def timed(stays: Iterable[Stay], clock: Callable[[float], float]) -> tuple[Stay, ...]:
-    """Return stays on another clock.
+    """Return stays with their times on another clock.
 
     Args:
         stays: the stays.
@@ -191,7 +191,7 @@ class RunView(Brief):
 
     @property
     def error_name(self) -> str:
-        """Name of the difference between state and reference."""
+        """Name of the difference between state and reference, for titles of pictures."""
         return "Prediction error" if self.against == "prediction" else "Tracking error"
 
     @property
@@ -208,9 +208,12 @@ class RunView(Brief):
 
     @property
     def symbols(self) -> tuple[tuple[str, float, float | None], ...]:
-        """Name, planned and actual crossing time of each symbol, s, or None for a missing time."""
-        done = (*self.crossings, *[None] * len(self.plan.symbols))
-        return tuple((name, at, seen) for (at, name), seen in zip(self.plan.symbols, done, strict=False))
+        """Name, planned and actual crossing time of each symbol, s; None for a crossing that is missing."""
+        crossing_times = (*self.crossings, *[None] * len(self.plan.symbols))
+        return tuple(
+            (name, planned_time, crossing_time)
+            for (planned_time, name), crossing_time in zip(self.plan.symbols, crossing_times, strict=False)
+        )
 
     @property
     def pivot(self) -> Array:
@@ -218,7 +221,7 @@ class RunView(Brief):
         return self.state[:, 2 * self.arms] if self.has_cart else np.zeros(len(self.time))
 
     def delayed(self, seconds: float) -> "RunView":
-        """Return the view at a later time.
+        """Return the view with all times later by `seconds`, to align it with other runs.
 
         Args:
             seconds: delay, s.
@@ -230,12 +233,17 @@ class RunView(Brief):
             events=tuple(replace(event, time=event.time + seconds) for event in self.events),
             plan=self.plan.timed(seconds.__add__),
             done=timed(self.done, seconds.__add__),
-            crossings=tuple(None if at is None else at + seconds for at in self.crossings),
+            crossings=tuple(
+                None if crossing_time is None else crossing_time + seconds for crossing_time in self.crossings
+            ),
         )
 
 
 def series_of(log: RunLog) -> RunView:
     """Return the series of a log for drawing, without plan and verdict.
+
+    The state to draw is the true one if known, then the estimate, then the measured positions with differences as
+    rates.
 
     Args:
         log: log of a run or a recording.
@@ -248,18 +256,18 @@ def series_of(log: RunLog) -> RunView:
     breaks = np.flatnonzero(np.diff(log.time) > 1.5 / log.rate_hz) + 1
     state, what = (estimate, "estimate") if truth is None else (truth, "plant")
     # An estimate may merely repeat the measured angles, without rates.
-    repeats = estimate is not None and np.array_equal(estimate[:, :n], log.measured[:, :n])
-    if state is None or (what == "estimate" and repeats and not state[:, n : 2 * n].any()):
+    repeats_measured = estimate is not None and np.array_equal(estimate[:, :n], log.measured[:, :n])
+    if state is None or (what == "estimate" and repeats_measured and not state[:, n : 2 * n].any()):
         state, what, estimate = _measured(log, breaks), "measured", None
     control = {name: clean(values) for name, values in log.controls.items()}
     names, nis = [f"sigma_{i + 1}" for i in range(state.shape[1])], control.get("nis")
     sigma = np.column_stack([control[name] for name in names]) if "sigma_1" in control else None
-    driven = any(np.nan_to_num(control[name]).any() for name in _DRIVEN if name in control)
+    is_driven = any(np.nan_to_num(control[name]).any() for name in _DRIVEN if name in control)
     if truth is not None and log.has_cart and "applied" in control and len(log.time) > 1:
         control[ACTUAL] = _cart_acceleration(truth[:, 2 * n + 1], log.time)
-    busy = "mode" in control and (control["mode"] != Mode.IDLE).any()
+    is_controlled = "mode" in control and (control["mode"] != Mode.IDLE).any()
     replayed = log.metadata.get("kind") == REPLAYED
-    if not busy:
+    if not is_controlled:
         # Without a controller there was neither a plan nor a mode to draw.
         control = {name: values for name, values in control.items() if name not in ("feedforward", "feedback", "mode")}
     return RunView(
@@ -275,7 +283,7 @@ def series_of(log: RunLog) -> RunView:
         reference=reference,
         error=None if truth is None or estimate is None else estimate - truth,
         sigma=None if sigma is None or not np.nan_to_num(sigma).any() else sigma,
-        control=control if driven or busy else None,
+        control=control if is_driven or is_controlled else None,
         nis=nis if nis is not None and np.isfinite(nis).any() else None,
         sensors=n if replayed else sensors_of(log.measured),
         limits=log.limits,
@@ -289,17 +297,25 @@ def series_of(log: RunLog) -> RunView:
 
 
 def _cart_acceleration(velocity: Array, time: Array) -> Array:
-    """Return the mean acceleration (N,) m/s² between ticks, nan at instantaneous velocity jumps."""
+    """Return the cart's mean acceleration (N,) between ticks, m/s², nan at instantaneous velocity jumps.
+
+    Args:
+        velocity: velocity (N,) of the cart, m/s.
+        time: times (N,), s.
+    """
     steps = np.diff(time)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(steps > 0, np.diff(velocity) / steps, np.nan)
-        usual = float(np.nanquantile(np.abs(mean), 0.99)) if np.isfinite(mean).any() else 0.0
-        mean = np.where(np.abs(mean) <= 5 * usual + 1e-9, mean, np.nan)
+        # A knock on the cart is a jump of the velocity, far beyond the drive's accelerations.
+        typical_size = float(np.nanquantile(np.abs(mean), 0.99)) if np.isfinite(mean).any() else 0.0
+        mean = np.where(np.abs(mean) <= 5 * typical_size + 1e-9, mean, np.nan)
     return np.append(mean, mean[-1])
 
 
 def clean(values: Array) -> Array:
-    """Return values with nan for absurd ones, and unchanged arrays without a copy, since logs are long.
+    """Return values with nan for absurd ones, which drawing libraries cannot show.
+
+    Arrays without such values are returned without a copy, since logs are long.
 
     Args:
         values: values of any shape.
@@ -310,17 +326,23 @@ def clean(values: Array) -> Array:
 
 
 def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
-    """Return measured positions in state order.
+    """Return measured positions and rates (N, 2n+2) in the order of a state; without a cart (N, 2n).
 
-    Missing rates are differences within each segment.
+    Recordings from a bench have no estimates, so these are drawn. Missing rates are differences within each segment.
+
+    Args:
+        log: log of a run or a recording.
+        breaks: rows that follow a gap in time.
     """
     n, size = len(log.arm_lengths), log.measured.shape[1]
     positions = clean(log.measured)
     rates = log.rates
     if rates is None:
         parts = [
-            np.gradient(positions[a:b], log.time[a:b], axis=0) if b - a > 1 else np.zeros((b - a, size))
-            for a, b in pairwise([0, *breaks.tolist(), len(log.time)])
+            np.gradient(positions[begin:end], log.time[begin:end], axis=0)
+            if end - begin > 1
+            else np.zeros((end - begin, size))
+            for begin, end in pairwise([0, *breaks.tolist(), len(log.time)])
         ]
         rates = np.concatenate(parts)
     rates = clean(rates)

@@ -39,6 +39,7 @@ FaultFigures = tuple[Fault, Mapping[str, Any]]
 """A fault and its figures."""
 
 REFERENCE_ATTACHMENT = "reference.npz"
+"""Name of the attachment of a run's log that holds its plan."""
 MODEL_METADATA = "model_parameters"
 """Metadata key of the arms' parameters, JSON."""
 PLANT_METADATA, DRAWN_METADATA = "plant_parameters", "drawn"
@@ -72,7 +73,7 @@ class Verdict:
         wraps: number of wraps at each stop that was reached.
         fault: fault of the run, `Fault.NONE` if it completed its plan.
         figures: numbers and names of the fault. `short` is the time by which the run ended early, s.
-        end: event that ended the run early or let it fall back, or None.
+        end: event that ended the run early, or from which on another orbit was held, or None.
     """
 
     symbols: int
@@ -88,7 +89,7 @@ class Verdict:
 
     @property
     def cause(self) -> str:
-        """Cause of a failure: that of an early end, otherwise what the run lacks."""
+        """Cause of a failure: that of an early end, otherwise the fault, as a name for tables."""
         early = self.end if "short" in self.figures else None
         return (early and early.cause) or self.fault
 
@@ -167,7 +168,10 @@ class Score(Documented):
 
     @property
     def missed(self) -> str:
-        """Reason for a run not known to be completed, or ""; on a rig, the symbols decide without the true state."""
+        """Reason for a run not known to be completed, or ""; on a rig, the symbols decide without the true state.
+
+        The exit code of the verbs depends on it.
+        """
         unfinished = self.symbols_completed != self.symbols_total or not self.whole
         if self.completed is False or (self.completed is None and unfinished):
             return f"not completed: {self.reason}"
@@ -175,16 +179,18 @@ class Score(Documented):
 
     @property
     def sentence(self) -> str:
-        """Verdict in one line."""
-        done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
+        """Verdict in one line, with falls, catches and symbols."""
+        outcome = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
         symbols = (
             f"{words.counted(self.symbols_completed, self.symbols_total, self.transfers_between)}; "
             if self.symbols_total
             else ""
         )
-        after = [(self.falls, "fall", "s"), (self.catches, "catch", "es")]
-        borne = " and ".join(f"{count} {what}{more * (count > 1)}" for count, what, more in after if count)
-        return f"{done}{f' after {borne}' if borne else ''}: {symbols}{self.reason}"
+        interruptions = [(self.falls, "fall", "s"), (self.catches, "catch", "es")]
+        interruption_text = " and ".join(
+            f"{count} {noun}{plural * (count > 1)}" for count, noun, plural in interruptions if count
+        )
+        return f"{outcome}{f' after {interruption_text}' if interruption_text else ''}: {symbols}{self.reason}"
 
     def __repr__(self) -> str:
         return f"<score: {self.sentence}>"
@@ -229,7 +235,7 @@ class Scores(Documented):
 
 
 def plan_of(log: RunLog) -> Reference:
-    """Return the reference in the log, with its plan.
+    """Return the reference that is attached to a log, with its plan, against which the run is scored.
 
     Args:
         log: log of a run.
@@ -239,21 +245,25 @@ def plan_of(log: RunLog) -> Reference:
     """
     data = log.attachments.get(REFERENCE_ATTACHMENT)
     if data is None:
-        why = "another program has left out its attachments" if log.rewritten else "it is a recording, not a run"
-        raise InputError(f"{log.path} carries no {REFERENCE_ATTACHMENT}: {why}; give a log as `dpcontrol run` wrote it")
-    place = f"{log.path}: its attachment {REFERENCE_ATTACHMENT}"
+        explanation = (
+            "another program has left out its attachments" if log.rewritten else "it is a recording, not a run"
+        )
+        raise InputError(
+            f"{log.path} carries no {REFERENCE_ATTACHMENT}: {explanation}; give a log as `dpcontrol run` wrote it"
+        )
+    description = f"{log.path}: its attachment {REFERENCE_ATTACHMENT}"
     try:
         reference = load_reference(io.BytesIO(data))
     except InputError as error:
-        raise InputError(f"{place} is damaged; run the itinerary again") from error
-    fits = reference.states.shape[-1] == 2 * len(log.arm_lengths) + 2
-    if not (reference.converged and fits and reference.plan is not None):
-        raise InputError(f"{place} holds no plan; run the itinerary again")
+        raise InputError(f"{description} is damaged; run the itinerary again") from error
+    has_right_size = reference.states.shape[-1] == 2 * len(log.arm_lengths) + 2
+    if not (reference.converged and has_right_size and reference.plan is not None):
+        raise InputError(f"{description} holds no plan; run the itinerary again")
     return reference
 
 
 def arms_in(log: RunLog, name: str) -> ArmChainParameters | None:
-    """Return the arms' parameters in a log's metadata, or None without them.
+    """Return the arms' parameters that a log's metadata hold, or None without them.
 
     Args:
         log: log of a run.
@@ -264,28 +274,29 @@ def arms_in(log: RunLog, name: str) -> ArmChainParameters | None:
 
 
 def lacking(log: RunLog) -> tuple[str, ...]:
-    """Return the parts that a score needs and a log lacks.
+    """Return the names of the parts that a score needs and a log lacks; a log without one of them is not judged.
 
     Args:
         log: log of a run or a recording.
     """
     if REFERENCE_ATTACHMENT not in log.attachments:
         return ("plan",)
-    needed = {REFERENCE: {"reference"}, CONTROL: {"control"}, ESTIMATE: {"estimate", "truth"}}
-    return tuple(topic for topic, parts in needed.items() if not parts & log.parts)
+    parts_by_topic = {REFERENCE: {"reference"}, CONTROL: {"control"}, ESTIMATE: {"estimate", "truth"}}
+    return tuple(topic for topic, parts in parts_by_topic.items() if not parts & log.parts)
 
 
 @dataclass(frozen=True, eq=False)
 class Flown(Brief):
-    """Basis of the verdict on a run: K ticks, n arms.
+    """Motion of a run from which the verdict is derived: K ticks, n arms.
 
     Attributes:
-        time: (K,) s.
-        states: (K, 2n+2), true ones if known.
-        reference_angles: (K, n) rad.
-        applied: (K,) acceleration of the cart, m/s².
-        end: event of a run's end before that of its reference, or None.
+        time: times (K,), s.
+        states: states (K, 2n+2), true ones if known.
+        reference_angles: angles (K, n) of the reference, rad.
+        applied: acceleration (K,) of the cart, m/s².
+        rate_hz: rate of the ticks, Hz.
         limits: of the cart in this run: position m, velocity m/s, acceleration m/s². None without a cart.
+        end: event of a run's end before that of its reference, or None.
         stretches: periods on the itinerary. Empty for a run that could not recover and was on it throughout.
         hardest: greatest acceleration applied by a simulated drive, m/s². None if only `applied` is known.
     """
@@ -302,17 +313,17 @@ class Flown(Brief):
 
     @classmethod
     def of(cls, run: BatchRun, *, rate_hz: float, limits: Limits) -> "Flown":
-        """Return the basis of the verdict on a simulated run.
+        """Return the motion of a simulated run, for a verdict without a log.
 
         Args:
             run: the run.
             rate_hz: rate of its ticks, Hz.
             limits: the cart's limits in this run.
         """
-        bounds = (limits.position, limits.velocity, limits.acceleration)
+        cart_limits = (limits.position, limits.velocity, limits.acceleration)
         end = None if run.ending is Ending.FINISHED else run.end
-        flown = (run.times, run.truth, run.references, run.applied)
-        return cls(*flown, rate_hz, bounds, end, run.stretches, run.hardest)
+        motion = (run.times, run.truth, run.references, run.applied)
+        return cls(*motion, rate_hz, cart_limits, end, run.stretches, run.hardest)
 
     @property
     def angles(self) -> Array:
@@ -321,66 +332,66 @@ class Flown(Brief):
 
 
 def counted(stretches: Sequence[Stretch], *, rate_hz: float) -> list[tuple[NDArray[np.intp], Array]]:
-    """Return the ticks of each stretch that count, and their times.
+    """Return the ticks (K,) of each stretch on the itinerary that count for the score, and their times on the plan, s.
 
-    Times are those of the plan's reference, s. No stretch is omitted.
-
-    Ticks after the restart point of a later stretch do not count.
+    Ticks after the restart point of a later stretch do not count, because the run repeats them. Stretches without
+    counted ticks are left out.
 
     Args:
         stretches: stretches in order.
         rate_hz: rate of the ticks, Hz.
     """
-    again, out = [stretch.at for stretch in stretches], []
+    restart_times, counted_parts = [stretch.at for stretch in stretches], []
     for k, stretch in enumerate(stretches):
         rows = np.arange(stretch.first, stretch.end)
         times = stretch.at + (rows - stretch.first) / rate_hz
-        mine = times < min(again[k + 1 :], default=np.inf)
-        if mine.any():
-            out.append((rows[mine], times[mine]))
-    return out
+        counts = times < min(restart_times[k + 1 :], default=np.inf)
+        if counts.any():
+            counted_parts.append((rows[counts], times[counts]))
+    return counted_parts
 
 
 def spliced(flown: Flown, plan: Reference) -> Flown:
     """Return the counted part of a run on the plan's clock: each stretch up to the restart of a later one.
 
-    Symbols completed before a fall remain completed; of a repeated part the last stretch counts.
+    A stretch is an interval on the itinerary between falls. Symbols completed before a fall remain completed; of a
+    repeated part the last stretch counts. Whole turns by which the arms were off the plan are removed.
 
     Args:
-        flown: run with stretches.
+        flown: motion of a run with stretches.
         plan: reference of the plan.
     """
-    n, pieces = flown.reference_angles.shape[1], []
+    n, pieces_by_stretch = flown.reference_angles.shape[1], []
     for rows, times in counted(flown.stretches, rate_hz=flown.rate_hz):
         turns = flown.reference_angles[rows[0]] - plan.state(plan.mesh[0] + times[0])[:n]
         turns = np.rint(turns / (2 * np.pi)) * 2 * np.pi
         states = flown.states[rows]
         states[:, :n] -= turns
-        pieces.append((times, states, flown.reference_angles[rows] - turns, flown.applied[rows]))
-    if not pieces:
+        pieces_by_stretch.append((times, states, flown.reference_angles[rows] - turns, flown.applied[rows]))
+    if not pieces_by_stretch:
         return flown
-    time, states, references, applied = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    time, states, references, applied = (np.concatenate(parts) for parts in zip(*pieces_by_stretch, strict=True))
     return replace(flown, time=time, states=states, reference_angles=references, applied=applied, stretches=())
 
 
 def verdict_on(flown: Flown, plan: Reference) -> Verdict:
-    """Judge a run against its plan.
+    """Judge a run against its plan: decode the completed part, and find the first fault.
 
     Args:
-        flown: basis of the verdict.
+        flown: motion of the run.
         plan: reference of the plan.
     """
     if flown.stretches:
         verdict = verdict_on(spliced(flown, plan), plan)
-        beyond = _limits(flown) if verdict.completed else None
-        return verdict if beyond is None else replace(verdict, fault=beyond[0], figures=beyond[1])
+        limit_fault = _limits(flown) if verdict.completed else None
+        return verdict if limit_fault is None else replace(verdict, fault=limit_fault[0], figures=limit_fault[1])
     decoded = decode_run(flown.time, flown.angles, plan)
     fault, figures = _unobserved(flown) or _fault(flown, plan, decoded)
     return Verdict(max(0, decoded.matched - 1), decoded.wraps, fault, figures, flown.end)
 
 
 def score(log: RunLog) -> Score:
-    """Score a run from its log.
+    """Score a run from its log: its verdict, and figures of tracking, cart, filter and recoveries.
 
     Args:
         log: log of a run.
@@ -390,27 +401,27 @@ def score(log: RunLog) -> Score:
     """
     plan = plan_of(log)
     truth_known = log.truth is not None
-    bad = [event for event in log.events if event.level in ("error", "fatal")]
-    flown = Flown(
+    errors = [event for event in log.events if event.level in ("error", "fatal")]
+    motion = Flown(
         time=log.time,
         states=log.estimate if log.truth is None else log.truth,
         reference_angles=log.reference[:, : len(log.arm_lengths)],
         applied=log.control["applied"],
         rate_hz=log.rate_hz,
         limits=log.limits if log.has_cart else None,
-        end=bad[-1] if bad else None,
+        end=errors[-1] if errors else None,
         stretches=stretches_of(log),
         hardest=_noted(log, HARDEST_METADATA, float),
     )
-    verdict = verdict_on(flown, plan)
-    judged = spliced(flown, plan) if flown.stretches else flown
-    away = judged.angles - judged.reference_angles
+    verdict = verdict_on(motion, plan)
+    counted_motion = spliced(motion, plan) if motion.stretches else motion
+    tracking_error = counted_motion.angles - counted_motion.reference_angles
     falls = sum(event.name == RETURN and event.level == "warn" for event in log.events)
-    factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
-    part = _part(log, flown, plan)
-    completed = verdict.completed if truth_known and part is None else None
-    if part is not None:
-        verdict = replace(verdict, fault=part[0], figures=part[1])
+    real_time_factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
+    partial_fault = _part(log, motion, plan)
+    completed = verdict.completed if truth_known and partial_fault is None else None
+    if partial_fault is not None:
+        verdict = replace(verdict, fault=partial_fault[0], figures=partial_fault[1])
     return Score(
         log=str(log.path),
         seed=seed,
@@ -420,50 +431,58 @@ def score(log: RunLog) -> Score:
         transfers=len(plan.content.transfers),
         transfers_between=(_transfers(plan.content.symbols[: verdict.symbols]), _transfers(plan.content.symbols)),
         wraps=verdict.wraps,
-        rms_tracking_error=float(np.sqrt(np.mean(away**2))),
-        max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
-        rms_cart_acceleration=float(np.sqrt(np.mean(flown.applied**2))),
+        rms_tracking_error=float(np.sqrt(np.mean(tracking_error**2))),
+        max_cart_position=float(np.abs(motion.states[:, 2 * motion.angles.shape[1]]).max()) if log.has_cart else 0.0,
+        rms_cart_acceleration=float(np.sqrt(np.mean(motion.applied**2))),
         nis_inside_95=inside_95(log.control["nis"], sensors_of(log.measured)),
-        real_time_factor=factor,
+        real_time_factor=real_time_factor,
         verdict=verdict,
         nis_means=nis_means(log.control["nis"], sensors_of(log.measured)),
         thinking=_thinking(log),
         falls=falls,
         returned=returns(log.events),
-        attempts=_attempts(log, verdict.symbols, len(plan.content.symbols)) if flown.stretches else (),
+        attempts=_attempts(log, verdict.symbols, len(plan.content.symbols)) if motion.stretches else (),
         catches=sum(event.name == CATCH for event in log.events),
         judged_by="estimate" if log.truth is None else "truth",
-        whole=part is None,
+        whole=partial_fault is None,
         recovered=log.recovered or "",
     )
 
 
 ENDINGS = frozenset(ending.value for ending in Ending)
+"""Names of the events that end a run."""
 
 
 def _part(log: RunLog, flown: Flown, plan: Reference) -> FaultFigures | None:
-    """Return the fault of a log that covers only a part of its run, None for a whole log.
+    """Return the fault of a log that covers only a part of its run or has gaps, or None for a whole log.
 
-    On a rig, stamps that jump belong to the run itself.
+    Such a log cannot show that the run was completed. On a rig, stamps that jump belong to the run itself.
+
+    Args:
+        log: log of a run.
+        flown: motion in the log.
+        plan: reference of the plan.
     """
     if NIGHT_METADATA in log.metadata:
         return None
-    if (log.rewritten or log.truth is not None) and (unknown := _unobserved(flown)):
-        return unknown
+    if (log.rewritten or log.truth is not None) and (gap_fault := _unobserved(flown)):
+        return gap_fault
     if not log.rewritten:
         return None
     first, last, slack = float(log.time[0]), float(log.time[-1]), 1.5 / log.rate_hz
-    noted = plan.duration if log.end_s is None else log.end_s
+    planned_end = plan.duration if log.end_s is None else log.end_s
     # A rig's clock differs from the nominal one, so the event counts first.
-    end = max((event.time for event in log.events if event.name in ENDINGS), default=noted)
+    end = max((event.time for event in log.events if event.name in ENDINGS), default=planned_end)
     if first <= slack and last >= end - slack:
         return None
-    covers = {"first": first, "last": last, "lasted": noted if first > noted else max(end, last)}
-    return Fault.OTHER_TIMES if first > noted else Fault.PART, covers
+    figures = {"first": first, "last": last, "lasted": planned_end if first > planned_end else max(end, last)}
+    return Fault.OTHER_TIMES if first > planned_end else Fault.PART, figures
 
 
 def stretches_of(log: RunLog) -> tuple[Stretch, ...]:
-    """Return the last repetition's periods on the itinerary, from events; without recovery none.
+    """Return the last repetition's periods on the itinerary, from the log's events; without recovery none.
+
+    A stretch begins when the run joins its itinerary, and ends with a fall or a catch.
 
     Args:
         log: log of a run.
@@ -487,77 +506,92 @@ def stretches_of(log: RunLog) -> tuple[Stretch, ...]:
 
 
 def returns(events: Sequence[Event]) -> tuple[float, ...]:
-    """Return the time from each departure to the return to the itinerary, s.
+    """Return the time from each departure off the itinerary until the run was on it again, s, in order.
+
+    A flight after which the law does not take over belongs to the departure before it.
 
     Args:
         events: events of a run.
     """
-    times, left, back = list[float](), 0.0, True
+    times, departed_at, on_itinerary = list[float](), 0.0, True
     for event in events:
-        if event.name == RETURN and event.cause != Cause.LAP_DONE and back:
-            left, back = event.time, False
-        elif event.name == FLIGHT and event.level == "warn" and back and times:
+        if event.name == RETURN and event.cause != Cause.LAP_DONE and on_itinerary:
+            departed_at, on_itinerary = event.time, False
+        elif event.name == FLIGHT and event.level == "warn" and on_itinerary and times:
             # The law did not take over at the flight's end.
             times.pop()
-            back = False
-        elif event.name in (RESUME, LAP) and not back:
-            times.append(event.time - left)
-            back = True
+            on_itinerary = False
+        elif event.name in (RESUME, LAP) and not on_itinerary:
+            times.append(event.time - departed_at)
+            on_itinerary = True
     return tuple(times)
 
 
 def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
-    """Return the number of attempts of each symbol, 0 for those not started; the first `done` were completed."""
-    out = [0] * symbols
+    """Return the number of attempts of each symbol, 0 for those not started, from the log's events.
+
+    Args:
+        log: log of a run that could recover.
+        done: number of completed symbols.
+        symbols: number of all symbols.
+    """
+    attempts = [0] * symbols
     for event in log.events:
         symbol = event.figures.get("symbol", 0) if event.name in (RESUME, CATCH) else 0
         if 0 < symbol <= symbols:
-            out[symbol - 1] = max(out[symbol - 1], event.figures["attempt"])
+            attempts[symbol - 1] = max(attempts[symbol - 1], event.figures["attempt"])
     # A symbol flown directly after the previous one took one attempt.
-    return tuple(count or int(k < done) for k, count in enumerate(out))
+    return tuple(count or int(k < done) for k, count in enumerate(attempts))
 
 
 def _thinking(log: RunLog) -> Thinking | None:
-    """Return the duration of a tick, None if the log lacks it."""
+    """Return the computing time of a tick from the log's metadata, or None if they lack it."""
     figures = [_noted(log, name, float) for name in THINKING_METADATA]
     return None if None in figures else Thinking(*(value for value in figures if value is not None))
 
 
 def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | None:
-    """Return a number from the log's metadata, None if it is missing."""
+    """Return the number `name` of the log's metadata, converted by `kind`, or None if it is missing."""
     text = log.metadata.get(name)
     return None if text is None else kind(text)
 
 
 def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
-    """Return the fault that keeps a run from completing its plan, with its figures."""
-    content, matched, lost = plan.content, decoded.matched, decoded.lost
+    """Return the fault that keeps a run from completing its plan, with the figures of its sentence.
+
+    The first check that fails counts, in the order of start, symbols, wraps, limits, end, and distance from the last
+    orbit. `decoded` is the part of the plan that the run has completed.
+    """
+    content, matched_stops, lost_tick = plan.content, decoded.matched, decoded.lost
     stops, symbols = content.stops, content.symbols
     short = plan.duration - float(flown.time[-1])
     early = {"short": short} if short > 1.5 / flown.rate_hz else {}
-    far = {} if lost is None else {"far": float(flown.time[lost]), "follows": FOLLOWS}
-    first = {"saddle": stops[0].saddle, **early}
-    if matched == 0 and lost is None:
-        return Fault.AT_ONCE, first
-    if matched == 0 and np.abs(flown.angles[0] - plan.state(plan.mesh[0])[: flown.angles.shape[1]]).max() < _BEGUN:
-        return Fault.FIRST_LEFT, {**first, **far}
-    if matched == 0:
-        return Fault.NOT_BEGUN, first
-    if matched < len(stops):
-        return Fault.SYMBOL, {**symbol_figures(symbols, matched - 1), **far, **early}
-    last = symbol_figures(symbols, -1)
-    if lost is not None:
-        return Fault.LAST_LEFT, {**last, **far, **early}
+    departure = {} if lost_tick is None else {"far": float(flown.time[lost_tick]), "follows": FOLLOWS}
+    first_stop = {"saddle": stops[0].saddle, **early}
+    if matched_stops == 0 and lost_tick is None:
+        return Fault.AT_ONCE, first_stop
+    if (
+        matched_stops == 0
+        and np.abs(flown.angles[0] - plan.state(plan.mesh[0])[: flown.angles.shape[1]]).max() < _BEGUN
+    ):
+        return Fault.FIRST_LEFT, {**first_stop, **departure}
+    if matched_stops == 0:
+        return Fault.NOT_BEGUN, first_stop
+    if matched_stops < len(stops):
+        return Fault.SYMBOL, {**symbol_figures(symbols, matched_stops - 1), **departure, **early}
+    last_symbol = symbol_figures(symbols, -1)
+    if lost_tick is not None:
+        return Fault.LAST_LEFT, {**last_symbol, **departure, **early}
     for k, (required, done) in enumerate(zip(content.wraps, decoded.wraps, strict=False)):
         if required is not None and required != done:
             return Fault.WRAPS, {"stop": k + 1, "wraps": done, "wanted": required, "before": k + 2}
-    if (beyond := _limits(flown)) is not None:
-        return beyond
+    if (limit_fault := _limits(flown)) is not None:
+        return limit_fault
     if early:
-        return Fault.LAST_ENDED, {**last, **early}
+        return Fault.LAST_ENDED, {**last_symbol, **early}
     if gap := last_gap(flown.time, flown.angles, plan, rate_hz=flown.rate_hz):
-        saddle = {"saddle": stops[-1].saddle, "allowed": NEAR_LAST_ORBIT}
-        return Fault.LAST_FAR, {**last, **saddle, "gap": gap}
+        last_orbit = {"saddle": stops[-1].saddle, "allowed": NEAR_LAST_ORBIT}
+        return Fault.LAST_FAR, {**last_symbol, **last_orbit, "gap": gap}
     done = {
         "motions": len(stops) - 1,
         "transfers": _transfers(symbols),
@@ -571,7 +605,7 @@ def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
 
 
 def _transfers(symbols: Sequence[PlanSymbol]) -> int:
-    """Return the number of transfers among symbols."""
+    """Return the number of transfers among symbols, which have no section."""
     return sum(symbol.section is None for symbol in symbols)
 
 
@@ -582,17 +616,23 @@ _UNSEEN = 0.05
 
 
 def _unobserved(flown: Flown) -> FaultFigures | None:
-    """Return the fault of time stamps with gaps, which hide the arms' motion."""
+    """Return the fault of time stamps that run backwards or have gaps, or None.
+
+    In a gap an arm could turn unobserved, so symbols cannot be counted.
+    """
     steps = np.diff(flown.time)
-    jumps = np.flatnonzero((steps < 0) | (steps > max(_UNSEEN, 1.5 / flown.rate_hz)))
-    if not jumps.size:
+    gap_rows = np.flatnonzero((steps < 0) | (steps > max(_UNSEEN, 1.5 / flown.rate_hz)))
+    if not gap_rows.size:
         return None
-    row = int(jumps[0])
+    row = int(gap_rows[0])
     return Fault.STAMPS, {"step": float(steps[row]), "time": float(flown.time[row]), "period": 1 / flown.rate_hz}
 
 
 def _limits(flown: Flown) -> FaultFigures | None:
-    """Return the fault of a cart limit that was exceeded, or None."""
+    """Return the fault of a run whose cart exceeded a limit, with value and time of the largest excess, or None.
+
+    The drive's hardest acceleration is checked first if it is known, then the cart's motion.
+    """
     states, n = flown.states, flown.angles.shape[1]
     if flown.limits is None:
         return None
@@ -604,8 +644,8 @@ def _limits(flown: Flown) -> FaultFigures | None:
         ("velocity", states[:, 2 * n + 1], velocity),
         *([("acceleration", flown.applied, acceleration)] if flown.hardest is None else []),
     ):
-        worst = int(np.argmax(np.abs(values)))
-        if abs(values[worst]) > bound + 1e-9:
-            place = {"value": float(values[worst]), "limit": bound, "time": float(flown.time[worst])}
-            return Fault.LIMIT, {"quantity": name, **place}
+        largest_row = int(np.argmax(np.abs(values)))
+        if abs(values[largest_row]) > bound + 1e-9:
+            figures = {"value": float(values[largest_row]), "limit": bound, "time": float(flown.time[largest_row])}
+            return Fault.LIMIT, {"quantity": name, **figures}
     return None

@@ -84,14 +84,19 @@ _MOST = 256
 
 
 class LocatedMessages(NamedTuple):
-    """Offsets (K,) of the messages of one topic in a chunk, and copies of their records (K,)."""
+    """Messages of one topic in a chunk.
+
+    Attributes:
+        offsets: offsets (K,) of the messages' records in the chunk, bytes.
+        records: copies (K,) of these records.
+    """
 
     offsets: NDArray[np.int64]
     records: NDArray[Any]
 
 
 def located(data: bytes, tick: TickLayout, types: Mapping[str, np.dtype]) -> dict[str, LocatedMessages]:
-    """Return the messages in the records of chunks, by topic.
+    """Return the messages in the records of chunks, by topic, for indexes of a chunk and for a log's arrays.
 
     Args:
         data: records of one chunk or more.
@@ -101,50 +106,52 @@ def located(data: bytes, tick: TickLayout, types: Mapping[str, np.dtype]) -> dic
     Raises:
         ValueError: the records are not those of a log with this layout.
     """
-    ticks = [np.empty(0, np.int64)]
-    places: dict[int, list[int]] = {number: [] for number in tick.channels.values()}
+    tick_starts = [np.empty(0, np.int64)]
+    message_offsets: dict[int, list[int]] = {number: [] for number in tick.channels.values()}
     block = tick.block
-    beginning, size = block.template[: _RECORD.size], len(block.template)
-    place, end, unpack = 0, len(data), _RECORD.unpack_from
-    while place < end:
-        if data.startswith(beginning, place):
+    tick_head, size = block.template[: _RECORD.size], len(block.template)
+    position, end, unpack = 0, len(data), _RECORD.unpack_from
+    while position < end:
+        # The first record of a tick has an opcode, length and channel that no other record has.
+        if data.startswith(tick_head, position):
             # Ticks follow one another; many are compared at once.
-            most = min(max((end - place) // size, 1), _MOST)
-            same = np.ndarray((most,), f"S{_RECORD.size}", data, place, (size,)) == beginning
-            count = most if same.all() else int(same.argmin())
-            ticks.append(place + size * np.arange(count))
-            place += size * count
+            candidates = min(max((end - position) // size, 1), _MOST)
+            is_tick = np.ndarray((candidates,), f"S{_RECORD.size}", data, position, (size,)) == tick_head
+            tick_count = candidates if is_tick.all() else int(is_tick.argmin())
+            tick_starts.append(position + size * np.arange(tick_count))
+            position += size * tick_count
             continue
-        opcode, length, channel = unpack(data, place)
+        opcode, length, channel = unpack(data, position)
         if opcode == Opcode.MESSAGE:
-            places[channel].append(place)
-        place += LENGTH_FROM + length
-    if place != end:
+            message_offsets[channel].append(position)
+        position += LENGTH_FROM + length
+    if position != end:
         raise ValueError("a record runs over the end of its chunk")
     fields: Any = block.kind.fields
     messages = {}
     for topic, number in tick.channels.items():
         # A tick has its messages at fixed places.
-        offsets = np.concatenate(ticks) if topic in fields else np.array(places[number], np.int64)
+        offsets = np.concatenate(tick_starts) if topic in fields else np.array(message_offsets[number], np.int64)
         offsets += fields[topic][1] if topic in fields else 0
         kind = types.get(topic, RECORD_HEADER)
         # A view at every byte, so that fancy indexing copies whole records.
         shape = (max(len(data) - kind.itemsize + 1, 0),)
-        everywhere = np.ndarray(shape, f"V{kind.itemsize}", buffer=data, strides=(1,))
-        messages[topic] = LocatedMessages(offsets, everywhere[offsets].view(kind))
+        record_at_each_byte = np.ndarray(shape, f"V{kind.itemsize}", buffer=data, strides=(1,))
+        messages[topic] = LocatedMessages(offsets, record_at_each_byte[offsets].view(kind))
         if (messages[topic].records["channel"] != number).any():
             raise ValueError("a tick lacks a message")
     return messages
 
 
 def _bytes_of(record: McapRecord) -> bytes:
+    """Return the encoded record, opcode and length included."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
 
 
 def declarations(tick: TickLayout) -> list[McapRecord]:
-    """Return the schemas and channels of a log.
+    """Return the schemas and channels of a log, which describe its messages to any reader of MCAP.
 
     Args:
         tick: layout of the ticks.
@@ -181,21 +188,24 @@ class McapFile:
         self.stream = stream
         self._crc = 0
         self._compressor = zstandard.ZstdCompressor(level=_COMPRESSION)
+        # Records of the summary, and records that the next chunk begins with.
         self._summary: list[bytes] = []
         self._unwritten: list[bytes] = []
+        # Messages of each channel, and the first and last time of all, ns.
         self._counts: dict[int, int] = {}
         self._times: list[int] = []
         self._write(MAGIC + _bytes_of(Header(profile="ros2", library=library)))
 
     def _write(self, data: bytes | bytearray) -> None:
+        """Write bytes to the stream, and add them to the checksum of the data section."""
         self._crc = zlib.crc32(data, self._crc)
-        rest = memoryview(data)
+        remaining = memoryview(data)
         # An unbuffered stream may accept only a part, for example on a nearly full disk.
-        while rest:
-            rest = rest[self.stream.write(rest) or 0 :]
+        while remaining:
+            remaining = remaining[self.stream.write(remaining) or 0 :]
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Write a metadata record with its checksum.
+        """Write a metadata record with its checksum, and its entry in the summary.
 
         Args:
             name: name of the record.
@@ -213,9 +223,9 @@ class McapFile:
             data: content.
         """
         media_type = "application/toml" if name.endswith(".toml") else "application/octet-stream"
-        about = {"create_time": 0, "log_time": 0, "name": name, "media_type": media_type}
-        record = _bytes_of(Attachment(data=data, **about))
-        index = AttachmentIndex(offset=self.stream.tell(), length=len(record), data_size=len(data), **about)
+        shared_fields = {"create_time": 0, "log_time": 0, "name": name, "media_type": media_type}
+        record = _bytes_of(Attachment(data=data, **shared_fields))
+        index = AttachmentIndex(offset=self.stream.tell(), length=len(record), data_size=len(data), **shared_fields)
         self._summary.append(_bytes_of(index))
         self._write(record)
 
@@ -231,58 +241,61 @@ class McapFile:
         self._summary += self._unwritten
 
     def add_chunk(self, data: bytes) -> None:
-        """Write one compressed chunk with its indexes, and flush it.
+        """Write one compressed chunk with its indexes to the stream.
 
         Args:
             data: message records of the chunk.
         """
         messages = {topic: part for topic, part in located(data, self._tick, {}).items() if len(part.offsets)}
-        head = b"".join(self._unwritten)
+        declared = b"".join(self._unwritten)
         self._unwritten.clear()
-        content = head + data
+        content = declared + data
         times = np.concatenate([part.records["log_time"] for part in messages.values()])
-        about = {
+        shared_fields = {
             "message_start_time": int(times.min()), "message_end_time": int(times.max()), "compression": "zstd",
             "uncompressed_size": len(content),
         }  # fmt: skip
-        packed = self._compressor.compress(content)
-        start, places = self.stream.tell(), {}
-        written = bytearray(_bytes_of(Chunk(data=packed, uncompressed_crc=zlib.crc32(content), **about)))
-        length = len(written)
+        compressed = self._compressor.compress(content)
+        start, index_offsets = self.stream.tell(), {}
+        chunk_and_indexes = bytearray(
+            _bytes_of(Chunk(data=compressed, uncompressed_crc=zlib.crc32(content), **shared_fields))
+        )
+        chunk_length = len(chunk_and_indexes)
         for topic, part in messages.items():
-            number, offsets = self._tick.channels[topic], part.offsets + len(head)
-            places[number] = start + len(written)
+            number, offsets = self._tick.channels[topic], part.offsets + len(declared)
+            index_offsets[number] = start + len(chunk_and_indexes)
             # The library writes its entries one by one.
             entries = np.stack([part.records["log_time"], offsets], axis=1).astype("<u8").tobytes()
-            written += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), number, len(entries)) + entries
+            chunk_and_indexes += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), number, len(entries)) + entries
             self._counts[number] += len(offsets)
         index = ChunkIndex(
-            chunk_start_offset=start, chunk_length=length, message_index_offsets=places,
-            message_index_length=len(written) - length, compressed_size=len(packed), **about,
+            chunk_start_offset=start, chunk_length=chunk_length, message_index_offsets=index_offsets,
+            message_index_length=len(chunk_and_indexes) - chunk_length, compressed_size=len(compressed),
+            **shared_fields,
         )  # fmt: skip
         self._summary.append(_bytes_of(index))
         self._times = [min([index.message_start_time, *self._times]), max([index.message_end_time, *self._times])]
-        self._write(written)
+        self._write(chunk_and_indexes)
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer, and close the stream when they are on the disk."""
         self._write(b"".join(self._unwritten))
         # The checksum of the data section covers everything before this record.
         self._write(_bytes_of(DataEnd(data_section_crc=self._crc)))
-        kinds = Counter(record[0] for record in self._summary)
+        record_counts = Counter(record[0] for record in self._summary)
         start, end = self._times or (0, 0)
         statistics = Statistics(
-            attachment_count=kinds[Opcode.ATTACHMENT_INDEX], channel_count=kinds[Opcode.CHANNEL],
-            channel_message_counts=dict(self._counts), chunk_count=kinds[Opcode.CHUNK_INDEX],
-            message_count=sum(self._counts.values()), metadata_count=kinds[Opcode.METADATA_INDEX],
-            message_start_time=start, message_end_time=end, schema_count=kinds[Opcode.SCHEMA],
+            attachment_count=record_counts[Opcode.ATTACHMENT_INDEX], channel_count=record_counts[Opcode.CHANNEL],
+            channel_message_counts=dict(self._counts), chunk_count=record_counts[Opcode.CHUNK_INDEX],
+            message_count=sum(self._counts.values()), metadata_count=record_counts[Opcode.METADATA_INDEX],
+            message_start_time=start, message_end_time=end, schema_count=record_counts[Opcode.SCHEMA],
         )  # fmt: skip
         # Records of a summary are grouped by their opcodes, which come first.
         records = sorted([*self._summary, _bytes_of(statistics)], key=lambda record: record[0])
         summary, start = b"".join(records), self.stream.tell()
         # The footer's checksum covers the summary and the footer up to the checksum itself.
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, 0)
-        checksum = zlib.crc32(head, zlib.crc32(summary))
+        footer_head = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, 0)
+        checksum = zlib.crc32(footer_head, zlib.crc32(summary))
         footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=checksum)
         self._write(summary + _bytes_of(footer) + MAGIC)
         os.fsync(self.stream.fileno())
@@ -320,7 +333,7 @@ _KEY = "crc32"
 
 
 def unsealed(name: str, record: Mapping[str, str]) -> dict[str, str] | None:
-    """Return the values of a record without its checksum, or None if the checksum is missing or wrong.
+    """Return the values of a metadata record without its checksum, or None if the checksum is missing or wrong.
 
     Args:
         name: name of the record.
@@ -331,5 +344,6 @@ def unsealed(name: str, record: Mapping[str, str]) -> dict[str, str] | None:
 
 
 def _checksum(name: str, values: Mapping[str, str]) -> str:
+    """Return the CRC-32 of a metadata record's name and values as eight hexadecimal digits."""
     content = json.dumps([name, dict(sorted(values.items()))])
     return f"{zlib.crc32(content.encode()):08x}"

@@ -40,7 +40,7 @@ Part = tuple[str, str, Any]
 
 
 class Message(NamedTuple):
-    """Message of fixed length.
+    """Message of fixed length, as a template.
 
     Attributes:
         data: the whole message, with zeros in place of the varying numbers.
@@ -52,34 +52,38 @@ class Message(NamedTuple):
 
 
 def message(*parts: Part) -> Message:
-    """Return the message of these parts, aligned as in CDR: each number to its own size.
+    """Return the message of these parts as a template, aligned as in CDR: each number to its own size.
 
     Args:
         *parts: parts in order.
     """
     names = [name or f"fixed {k}" for k, (name, _, _) in enumerate(parts)]
-    kind = np.dtype([(name, form) for name, (_, form, _) in zip(names, parts, strict=True)], align=True)
-    content, start = np.zeros(1, kind), len(ENCAPSULATION)
-    fields: Any = kind.fields
+    structure = np.dtype([(name, form) for name, (_, form, _) in zip(names, parts, strict=True)], align=True)
+    values, data_start = np.zeros(1, structure), len(ENCAPSULATION)
+    fields: Any = structure.fields
     for name, (_, _, value) in zip(names, parts, strict=True):
-        content[name] = value
-    last, offset = fields[names[-1]][:2]
-    places = {name: (fields[name][0], start + fields[name][1]) for name, *_ in parts if name}
-    return Message(ENCAPSULATION + content.tobytes()[: offset + last.itemsize], places)
+        values[name] = value
+    last_format, offset = fields[names[-1]][:2]
+    field_places = {name: (fields[name][0], data_start + fields[name][1]) for name, *_ in parts if name}
+    # CDR has no padding after the last part.
+    return Message(ENCAPSULATION + values.tobytes()[: offset + last_format.itemsize], field_places)
 
 
 def _text(text: str) -> list[Part]:
+    """Return the parts of a string in CDR: its length with the final NUL, then its bytes."""
     # NUL ends a string of CDR, so it is removed.
     content = text.replace("\0", "").encode() + b"\0"
     return [("", "<u4", len(content)), ("", f"S{len(content)}", content)]
 
 
 def _stamp(name: str, time_ns: int = 0) -> list[Part]:
-    seconds, rest = divmod(time_ns, 1_000_000_000)
-    return [(f"{name}.sec", "<i4", seconds), (f"{name}.nanosec", "<u4", rest)]
+    """Return the parts of a ROS time stamp with the fields `name.sec` and `name.nanosec`."""
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    return [(f"{name}.sec", "<i4", seconds), (f"{name}.nanosec", "<u4", nanoseconds)]
 
 
 def _sequence(name: str, count: int) -> list[Part]:
+    """Return the parts of a sequence of `count` doubles: the count, then the field of the numbers if there are any."""
     return [("", "<u4", count), (name, f"({count},)<f8", 0)][: 1 + (count > 0)]
 
 
@@ -96,7 +100,7 @@ def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
 
 
 def transforms(frames: Sequence[tuple[str, str]]) -> Message:
-    """Return tf2_msgs/TFMessage for (parent, child) frames.
+    """Return tf2_msgs/TFMessage for (parent, child) frames, with which viewers draw the moving arms.
 
     Fields of the i-th transform: `i.stamp.*`, and `i.pose` with x, y, z and the quaternion's x, y, z, w.
 
@@ -110,11 +114,12 @@ def transforms(frames: Sequence[tuple[str, str]]) -> Message:
 
 
 def _row(count: int) -> Message:
+    """Return a message of `count` doubles only, in the field "row"."""
     return message(("row", f"({count},)<f8", 0))
 
 
 def string(text: str) -> bytes:
-    """Return std_msgs/String.
+    """Return std_msgs/String in CDR, as viewers read the arms' description from it.
 
     Args:
         text: content of the message.
@@ -124,7 +129,7 @@ def string(text: str) -> bytes:
 
 @dataclass(frozen=True)
 class Event:
-    """An event of a run.
+    """An event of a run: a decision of the loop, a fault or the end.
 
     Attributes:
         time: s.
@@ -152,7 +157,7 @@ _CAUSES = frozenset(Cause)
 
 
 def log(event: Event) -> bytes:
-    """Return an event as rcl_interfaces/Log.
+    """Return an event as rcl_interfaces/Log, which viewers of ROS 2 logs show.
 
     The cause is in `function`, and its figures, as JSON, in `file`, which survive all tools that copy messages.
 
@@ -166,7 +171,7 @@ def log(event: Event) -> bytes:
 
 
 def logged_event(time: float, data: bytes) -> Event:
-    """Return the event in an rcl_interfaces/Log message.
+    """Return the event in an rcl_interfaces/Log message, the inverse of `log`.
 
     Args:
         time: s.
@@ -176,12 +181,13 @@ def logged_event(time: float, data: bytes) -> Event:
         LookupError, struct.error, ValueError: the message has a different layout.
     """
     level = {number: name for name, number in LEVELS.items()}.get(data[_LEVEL], "info")
-    place, texts = _LEVEL + 1, []
+    position, texts = _LEVEL + 1, []
     for _ in range(4):
-        place += -(place - len(ENCAPSULATION)) % 4
-        (length,) = struct.unpack_from("<I", data, place)
-        place += 4 + length
-        texts.append(data[place - length : place].rstrip(b"\0").decode())
+        # The length of a string is aligned to four bytes.
+        position += -(position - len(ENCAPSULATION)) % 4
+        (length,) = struct.unpack_from("<I", data, position)
+        position += 4 + length
+        texts.append(data[position - length : position].rstrip(b"\0").decode())
     name, words, figures, cause = texts
     # Other programs log their functions and files there.
     if cause not in _CAUSES or not words:
@@ -203,6 +209,7 @@ _PARTS = {
 
 
 def _with_parts(definition: str, *names: str) -> bytes:
+    """Return a message definition followed by those of the nested messages that it names, as MCAP's schemas require."""
     return "".join([definition, *(f"{'=' * 80}\nMSG: {name}\n{_PARTS[name]}" for name in names)]).encode()
 
 
@@ -301,7 +308,7 @@ LENGTH_FROM = 9
 
 
 def record(channel: int, number: int, time_ns: int, content: bytes) -> bytes:
-    """Return an MCAP message record.
+    """Return an MCAP message record, as chunks contain it.
 
     Args:
         channel: number of the channel.
@@ -352,12 +359,12 @@ def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
         arms: number of arms.
         has_cart: True if the rig has a cart.
     """
-    arms_part = tuple(f"{what}_{i + 1}" for what in ("angle", "rate") for i in range(arms))
+    arms_part = tuple(f"{quantity}_{i + 1}" for quantity in ("angle", "rate") for i in range(arms))
     return arms_part + (("cart_position", "cart_velocity") if has_cart else ())
 
 
 def record_type(message: Message) -> np.dtype:
-    """Return the structured type of the record of `message`.
+    """Return the structured type of the record of `message`, through which numpy reads and writes its numbers.
 
     Args:
         message: message with its fields.
@@ -376,6 +383,10 @@ _COUNTERS: tuple[str, ...] = ("sequence", "log_time", "publish_time", "sec", "na
 class Block:
     """Message records that are written together, as one numpy type.
 
+    Args:
+        messages: template of each topic, in the order of writing.
+        channels: channel number of each topic.
+
     Attributes:
         kind: structured type with a field for each topic.
         template: bytes of the records, with times and numbers zero.
@@ -386,10 +397,13 @@ class Block:
         self.template = b"".join(record(channels[topic], 0, 0, message.data) for topic, message in messages.items())
         self._records = np.empty(0, self.kind)
         fields = ((topic, name, name.rpartition(".")[2]) for topic in messages for name in self.kind[topic].names or ())
+        # Topic, field and last name of each field that follows from number and time.
         self._counters = tuple(field for field in fields if field[2] in _COUNTERS)
 
     def filled(self, times: NDArray[np.int64], first: int) -> NDArray[Any]:
         """Return copies (K,) of the template with times and numbers of sequence, which the next call overwrites.
+
+        The caller then fills in the messages' own numbers.
 
         Args:
             times: (K,) ns.
@@ -407,7 +421,7 @@ class Block:
 
 @dataclass(frozen=True)
 class TickLayout:
-    """Messages of a tick in order of writing, and the channels.
+    """Messages of a tick in order of writing, and the channels: the log's layout, from which writer and reader work.
 
     Attributes:
         arm_lengths: (n,) m.
@@ -427,7 +441,7 @@ class TickLayout:
 
     @classmethod
     def of(cls, record: Mapping[str, str]) -> "TickLayout":
-        """Return the layout in a metadata record.
+        """Return the layout in a log's metadata record.
 
         Args:
             record: values of the record `LAYOUT_RECORD`.
@@ -452,7 +466,7 @@ class TickLayout:
         )
 
     def record(self) -> dict[str, str]:
-        """Return the values of the metadata record."""
+        """Return the values of the metadata record `LAYOUT_RECORD`, from which `of` makes the layout again."""
         return {
             "format": FORMAT,
             "arm_lengths": " ".join(map(repr, self.arm_lengths)),
@@ -470,7 +484,7 @@ class TickLayout:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the joints."""
+        """Names of the joints in the joint states."""
         return joint_names(self.arms, has_cart=self.has_cart)
 
     @cached_property
@@ -480,7 +494,7 @@ class TickLayout:
 
     @cached_property
     def widths(self) -> dict[str, int]:
-        """Row widths of measured positions, parts and extras, by name."""
+        """Number of columns in the rows of measured positions, of each part and of the extras, by name."""
         joints = len(self.names)
         widths = dict.fromkeys(("measured", *PARTS), 2 * joints)
         widths |= {"measured": joints, "rates": joints, "control": len(self.fields)}
@@ -488,30 +502,31 @@ class TickLayout:
 
     @cached_property
     def rooms(self) -> tuple[tuple[str, str, slice, str, slice], ...]:
-        """Places of the numbers in messages and rows.
+        """Where each number of a tick lies, in a message and in the rows of the loop.
 
-        Each has topic, field and joints of its message, part ("measured" or of `PARTS`) and columns.
+        Each entry has topic, field and joints of the message, then part ("measured" or of `PARTS`) and columns of the
+        row.
 
         All are slices, because indexing by number is too slow for the few ticks of a chunk.
         """
-        n, every = self.arms, slice(None)
+        n, whole = self.arms, slice(None)
         arms = (slice(n), slice(n), slice(n, 2 * n))
         cart = (slice(n, n + 1), slice(2 * n, 2 * n + 1), slice(2 * n + 1, 2 * n + 2))
         rooms = [
-            (MEASURED, "position", every, "measured", every),
-            (MEASURED, "velocity", every, "rates", every),
-            (CONTROL, "row", every, "control", every),
+            (MEASURED, "position", whole, "measured", whole),
+            (MEASURED, "velocity", whole, "rates", whole),
+            (CONTROL, "row", whole, "control", whole),
         ]
         for (part, topic), (joints, *columns) in product(STATE_TOPICS.items(), (arms, cart)[: 1 + self.has_cart]):
             rooms += [
-                (topic, name, joints, part, place)
-                for name, place in zip(("position", "velocity"), columns, strict=True)
+                (topic, name, joints, part, columns_of_field)
+                for name, columns_of_field in zip(("position", "velocity"), columns, strict=True)
             ]
         return tuple(room for room in rooms if room[3] in {"measured", *self.parts})
 
     @cached_property
     def messages(self) -> dict[str, Message]:
-        """Message of each topic, in the order of writing."""
+        """Template of each topic's message in a tick, in the order of writing."""
         state = joint_state(self.names, velocities=True)
         messages = {MEASURED: joint_state(self.names, velocities="rates" in self.parts)}
         messages |= {topic: state for part, topic in STATE_TOPICS.items() if part in self.parts}
@@ -526,7 +541,7 @@ class TickLayout:
 
     @cached_property
     def schemas(self) -> dict[str, tuple[str, bytes]]:
-        """Name and definition of each topic's message, in channel order."""
+        """Name and definition of each topic's message type, in channel order."""
         schemas: dict[str, tuple[str, bytes]] = dict.fromkeys(self.messages, JOINT_STATE)
         if CONTROL in schemas:
             schemas[CONTROL] = (
@@ -538,13 +553,13 @@ class TickLayout:
             schemas[GHOST] = STRING
         if self.extras:
             # ROS 2 requires field names in lower case.
-            fields = (f"float64 {of}{name.lower()}\n" for of in ("sigma_", "") for name in self.extras)
+            fields = (f"float64 {prefix}{name.lower()}\n" for prefix in ("sigma_", "") for name in self.extras)
             schemas[EXTRAS] = ("dpcontrol_msgs/msg/Extras", "".join(fields).encode())
         return schemas
 
     @cached_property
     def kinds(self) -> dict[str, str]:
-        """Type of each topic's messages."""
+        """Name of the message type of each topic."""
         return {topic: kind for topic, (kind, _) in self.schemas.items()}
 
     @cached_property
@@ -560,7 +575,7 @@ class TickLayout:
 
     @cached_property
     def block(self) -> Block:
-        """Messages of a tick."""
+        """The messages of a tick as one block of records."""
         return Block(self.messages, self.channels)
 
 

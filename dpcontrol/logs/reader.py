@@ -49,7 +49,7 @@ MALFORMED = (*UNREADABLE, McapError, zstandard.ZstdError)
 
 @dataclass
 class VerifiedFile:
-    """The records of an MCAP file whose checksums agree.
+    """The records of an MCAP file whose checksums agree, before they are decoded.
 
     Attributes:
         path: file that was read.
@@ -63,14 +63,14 @@ class VerifiedFile:
 
     @contextmanager
     def decoding(self) -> Iterator[None]:
-        """Report decoding errors as damage of this file."""
+        """Report errors of decoding within the block as damage of this file."""
         try:
             yield
         except MALFORMED as error:
-            said = next(iter(str(error).splitlines()), type(error).__name__)
+            reason = next(iter(str(error).splitlines()), type(error).__name__)
             raise InputError(
-                f"{self.path} is damaged ({said}); copy it again from its source, write it again with the program that "
-                f"wrote it, or {_recover(self.path)}"
+                f"{self.path} is damaged ({reason}); copy it again from its source, write it again with the program "
+                f"that wrote it, or {_recover(self.path)}"
             ) from error
 
     def values(self, name: str) -> dict[str, str]:
@@ -89,7 +89,7 @@ class VerifiedFile:
 
     @cached_property
     def tick(self) -> layout.TickLayout:
-        """Tick layout from the log's own description."""
+        """Layout of the log's ticks, from its own metadata."""
         return described_layout(self.path, self.values(layout.LAYOUT_RECORD))
 
     @property
@@ -102,7 +102,7 @@ class VerifiedFile:
         return bool(written_by_dpcontrol and self.values(layout.LAYOUT_RECORD)) and declared == declarations(self.tick)
 
     def topics(self) -> dict[str, Topic]:
-        """Return the messages by topic.
+        """Return the messages by topic, for logs that another program has rewritten.
 
         Raises:
             InputError: a message is damaged.
@@ -117,6 +117,7 @@ class _Records(StreamReader):
     """Reads all records but indexes of messages, whose entries the mcap package reads one by one."""
 
     def _read_record(self, opcode: int, length: int) -> Any:
+        """Return the record of this opcode and length from the stream, None for an index of messages."""
         if opcode != Opcode.MESSAGE_INDEX:
             return super()._read_record(opcode, length)
         self._stream.read(length)
@@ -124,7 +125,7 @@ class _Records(StreamReader):
 
 
 def unpacked(chunk: Chunk) -> bytes:
-    """Return the records in a chunk after checking its checksum.
+    """Return the records in a chunk as bytes, after checking its checksum.
 
     Args:
         chunk: the chunk.
@@ -137,7 +138,7 @@ def unpacked(chunk: Chunk) -> bytes:
 
 
 def recorded_bytes(path: Path) -> bytes:
-    """Return the bytes of a file of any kind.
+    """Return the bytes of a log, damaged or not.
 
     Args:
         path: the file.
@@ -148,19 +149,20 @@ def recorded_bytes(path: Path) -> bytes:
     try:
         return checked_source(path).read_bytes()
     except FileNotFoundError as error:
-        left = partials_of(path)
-        remedy = f"a run left {left[-1]}: {_recover(left[-1])}" if left else f"check the name or {_AGAIN}"
+        partials = partials_of(path)
+        remedy = f"a run left {partials[-1]}: {_recover(partials[-1])}" if partials else f"check the name or {_AGAIN}"
         raise InputError(f"there is no log {path}; {remedy}") from error
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}; give the path of a .mcap file") from error
 
 
 def _recover(path: Path) -> str:
+    """Return the remedy for a damaged log, as a part of error messages."""
     return f"`dpcontrol recover {path}` rebuilds a log from the rest"
 
 
 def open_mcap(path: Path) -> VerifiedFile:
-    """Read an MCAP file of any contents, and compare its checksums.
+    """Read an MCAP file of any contents, and compare its checksums before anything is decoded.
 
     Args:
         path: the file.
@@ -199,16 +201,16 @@ _FOOTER = 37
 
 
 def _batches(file: VerifiedFile) -> Iterator[Batch]:
-    """Yield the messages of a native log in order, many chunks at a time."""
+    """Yield the messages of a native log in order, `_TOGETHER` chunks at a time, to save memory."""
     chunks = file.records[Chunk]
     for first in range(0, len(chunks), _TOGETHER):
         data = b"".join(map(unpacked, chunks[first : first + _TOGETHER]))
         messages = located(data, file.tick, file.tick.types)
         events = []
-        for start, head in zip(*messages[layout.EVENTS], strict=True):
-            end = start + layout.LENGTH_FROM + int(head["length"])
-            events.append((int(head["log_time"]), data[start + layout.RECORD_HEADER.itemsize : end]))
-        tables = {topic: part.records for topic, part in messages.items()}
+        for start, record_head in zip(*messages[layout.EVENTS], strict=True):
+            end = start + layout.LENGTH_FROM + int(record_head["length"])
+            events.append((int(record_head["log_time"]), data[start + layout.RECORD_HEADER.itemsize : end]))
+        tables = {topic: located_messages.records for topic, located_messages in messages.items()}
         yield Batch(tables, {topic: table["log_time"] for topic, table in tables.items()}, events)
 
 
@@ -230,7 +232,7 @@ def described_layout(path: Path, described: Mapping[str, str]) -> layout.TickLay
 
 @dataclass(frozen=True, eq=False)
 class Extras(Brief):
-    """Parameters estimated in addition to the state.
+    """Parameters estimated in addition to the state, as the log has them.
 
     Attributes:
         names: E names.
@@ -325,7 +327,7 @@ class RunLog(Shown):
 
     @property
     def truth(self) -> Array | None:
-        """States of the plant, or None if they are unknown."""
+        """True states of the plant (N, 2n+2), or None if they are unknown, as on a rig."""
         return self.states.get("truth")
 
     @property
@@ -356,6 +358,11 @@ class RunLog(Shown):
         return self.controls or self._state("control")
 
     def _state(self, part: str) -> Any:
+        """Return the states of a part of the log.
+
+        Raises:
+            InputError: the log does not have this part.
+        """
         if part not in self.states:
             raise InputError(
                 f"{self.path} has no {layout.STATE_TOPICS.get(part, layout.CONTROL)}: it is a recording, not a run, or "
@@ -382,11 +389,13 @@ class RunLog(Shown):
         groups |= {part: (states, values) for part, values in self.states.items()}
         groups["control"] = (tuple(self.controls), np.transpose(list(self.controls.values())))
         if self.extras is not None:
-            last = np.searchsorted(self.extras.time, self.time, side="right") - 1
-            for of, values in (("extra", self.extras.values), ("sigma", self.extras.sigmas)):
-                groups[of] = (self.extras.names, np.where((last >= 0)[:, None], values[last], np.nan))
+            last_logged = np.searchsorted(self.extras.time, self.time, side="right") - 1
+            for prefix, values in (("extra", self.extras.values), ("sigma", self.extras.sigmas)):
+                groups[prefix] = (self.extras.names, np.where((last_logged >= 0)[:, None], values[last_logged], np.nan))
         columns: dict[str, Any] = {
-            f"{of}.{name}": values[:, i] for of, (names, values) in groups.items() for i, name in enumerate(names)
+            f"{prefix}.{name}": values[:, i]
+            for prefix, (names, values) in groups.items()
+            for i, name in enumerate(names)
         }
         if self.segments:
             columns["segment"] = segment_numbers(self.segments, len(self.time))
@@ -406,7 +415,7 @@ def segments_in(text: str, rows: int) -> tuple[tuple[int, int], ...]:
 
 
 def segment_numbers(segments: Sequence[tuple[int, int]], rows: int) -> NDArray[np.intp]:
-    """Return the number of each row's segment (K,), from 0.
+    """Return the number of each row's segment (K,), from 0, as a column of tables.
 
     Args:
         segments: first and end row of each segment, in order.
@@ -420,6 +429,7 @@ _LATEST = np.iinfo(np.int64).max
 
 
 def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
+    """Return the arrays of all parts of a log, joined by name and read-only."""
     # Each array is removed from its part as it is joined, so that a long log is held only once.
     arrays = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
     for array in arrays.values():
@@ -428,7 +438,10 @@ def _joined(parts: Sequence[dict[str, NDArray]]) -> dict[str, NDArray]:
 
 
 def _rows(batch: Batch, tick: layout.TickLayout) -> dict[str, Array]:
-    """Return the ticks' times (K,), s, rows (K, …) by part, and the extras (M, …) after their times."""
+    """Return a batch's ticks as arrays: times (K,), s, rows (K, …) by part, and the extras (M, …) after their times.
+
+    `tick` is the layout of the log's ticks.
+    """
     tables, widths = batch.tables, tick.widths
     arrays = {part: np.empty((len(tables[layout.MEASURED]), widths[part])) for part in ("measured", *tick.parts)}
     for topic, field_name, joints, part, columns in tick.rooms:
@@ -441,7 +454,7 @@ def _rows(batch: Batch, tick: layout.TickLayout) -> dict[str, Array]:
 
 
 def _rewritten(file: VerifiedFile) -> tuple[layout.TickLayout, dict[str, str], list[Batch]]:
-    """Return layout, types of topics and messages of a log that another program has rewritten, with a remark.
+    """Return layout, types of topics and messages of a log that another program has rewritten, and tell the user.
 
     Raises:
         InputError: the file holds no run, or several.
@@ -463,7 +476,7 @@ def _rewritten(file: VerifiedFile) -> tuple[layout.TickLayout, dict[str, str], l
 
 
 def read_log(path: Path | str) -> RunLog:
-    """Return the run in a log; a log that another program has rewritten is read by its topics.
+    """Return the run in a log with its arrays; a log that another program has rewritten is read by its topics.
 
     Args:
         path: the log.
@@ -473,13 +486,13 @@ def read_log(path: Path | str) -> RunLog:
     """
     file = open_mcap(Path(path))
     with file.decoding():
-        native = file.is_native
-        tick, kinds, batches = (file.tick, file.tick.kinds, _batches(file)) if native else _rewritten(file)
-        parts, counts, events = zip(
+        is_native = file.is_native
+        tick, message_types, batches = (file.tick, file.tick.kinds, _batches(file)) if is_native else _rewritten(file)
+        row_batches, time_batches, events = zip(
             *((_rows(batch, tick), batch.times, batch.events) for batch in batches), strict=True
         )
-        rows, times = _joined(parts), _joined(counts)
-        logged = tuple(layout.logged_event(time / 1e9, body) for part in events for time, body in part)
+        rows, times = _joined(row_batches), _joined(time_batches)
+        logged_events = tuple(layout.logged_event(time / 1e9, content) for part in events for time, content in part)
         if any((time > _LATEST).any() for time in times.values()):
             raise ValueError(f"a message is later than {_LATEST / 1e9:.3g} s")
     if not len(rows["time"]):
@@ -487,7 +500,7 @@ def read_log(path: Path | str) -> RunLog:
     described, result = file.values(layout.LAYOUT_RECORD), file.values(layout.RESULT_RECORD)
     ticks = result.get(layout.TICKS)
     columns = rows["control"].T if "control" in rows else ()
-    extras, count = rows.get("extras", np.empty((0, 1))), len(tick.extras)
+    extras, extra_count = rows.get("extras", np.empty((0, 1))), len(tick.extras)
     return RunLog(
         path=file.path,
         time=rows["time"],
@@ -495,7 +508,7 @@ def read_log(path: Path | str) -> RunLog:
         rates=rows.get("rates"),
         states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
         controls=dict(zip(tick.fields, columns, strict=False)),
-        events=logged,
+        events=logged_events,
         metadata={**result, **file.values(layout.RUN_RECORD), "program": described["program"]},
         attachments=file.attachments,
         joint_names=tick.names,
@@ -504,12 +517,12 @@ def read_log(path: Path | str) -> RunLog:
         rate_hz=tick.rate_hz,
         limits=tick.limits,
         recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
-        extras=Extras(tick.extras, extras[:, 0], extras[:, 1 + count :], extras[:, 1 : 1 + count])
+        extras=Extras(tick.extras, extras[:, 0], extras[:, 1 + extra_count :], extras[:, 1 : 1 + extra_count])
         if len(extras)
         else None,
-        rewritten=not native,
+        rewritten=not is_native,
         end_s=(int(ticks) - 1) / file.tick.rate_hz if ticks else None,
-        topics=tuple(_topic(topic, kind, times.get(topic, np.empty(0))) for topic, kind in kinds.items()),
+        topics=tuple(_topic(topic, kind, times.get(topic, np.empty(0))) for topic, kind in message_types.items()),
     )
 
 
@@ -549,13 +562,16 @@ def check_replaced(
 
 
 def _differing(metadata: Mapping[str, str], existing: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
-    """Return the keys whose values differ between two records, except incidental keys and those in `also`."""
+    """Return the keys, separated by commas, whose values differ between the records of two runs.
+
+    Incidental keys and those in `also` are not compared.
+    """
     names = [name for name in {**metadata, **existing} if name not in (*_INCIDENTAL, *also)]
     return ", ".join(name for name in names if metadata.get(name) != existing.get(name))
 
 
 def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, ...] = ()) -> None:
-    """Reject the log of a run that a different command made.
+    """Reject the log of a run that a different command made, before a resumed night continues it.
 
     Args:
         path: the existing log.
@@ -574,7 +590,7 @@ def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, 
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """Messages of one topic.
+    """Summary of the messages of one topic, for the overview of a log.
 
     Attributes:
         topic: name.
@@ -596,6 +612,7 @@ class TopicSummary:
 
 
 def _topic(topic: str, kind: str, times: NDArray) -> TopicSummary:
+    """Return the summary of a topic with messages of type `kind` at `times` (K,), ns."""
     first, last = (float(end(times)) / 1e9 if len(times) else None for end in (np.min, np.max))
     span = 0.0 if first is None or last is None else last - first
     rate = (len(times) - 1) / span if span > 0 else None
@@ -611,7 +628,7 @@ class Comparison:
 
 
 def compare_messages(first_path: Path | str, other: Path | str) -> Comparison:
-    """Compare two logs topic by topic.
+    """Compare two logs topic by topic, as a check that a run is repeatable.
 
     Times and every byte of each message count; metadata may differ. If `first_path` was recovered or another program
     has rewritten one of them, the messages that `first_path` lacks are skipped.
@@ -623,17 +640,17 @@ def compare_messages(first_path: Path | str, other: Path | str) -> Comparison:
     Raises:
         InputError: a log is missing, damaged or not of this program.
     """
-    sides = [open_mcap(Path(path)) for path in (first_path, other)]
-    if sides[0].tick != sides[1].tick:
+    files = [open_mcap(Path(path)) for path in (first_path, other)]
+    if files[0].tick != files[1].tick:
         return Comparison(0, f"{first_path} and {other} do not have the same topics")
-    complete = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in sides)
+    complete = all(side.is_native and not side.values(layout.RECOVERY_RECORD).get(layout.LOST) for side in files)
     first, second = (
         {name: set(zip(topic.times, topic.bodies, strict=True)) for name, topic in side.topics().items()}
-        for side in sides
+        for side in files
     )
-    same = sum(len(messages & second.get(name, set())) for name, messages in first.items())
-    for name in sides[0].tick.schemas:
-        messages, messages_of_second = first.get(name, set()), second.get(name, set())
-        if differing := messages ^ messages_of_second if complete else messages - messages_of_second:
-            return Comparison(same, f"the message of {name} at {min(differing)[0] / 1e9:.3f} s differs")
-    return Comparison(same, None)
+    equal = sum(len(messages & second.get(name, set())) for name, messages in first.items())
+    for name in files[0].tick.schemas:
+        messages, second_messages = first.get(name, set()), second.get(name, set())
+        if differing := messages ^ second_messages if complete else messages - second_messages:
+            return Comparison(equal, f"the message of {name} at {min(differing)[0] / 1e9:.3f} s differs")
+    return Comparison(equal, None)

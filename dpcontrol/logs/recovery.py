@@ -69,7 +69,7 @@ _SEVERAL = "it holds pieces of several logs that cannot be told apart; recover e
 
 
 def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
-    """Return the sound records of a log.
+    """Return the records of a damaged log whose checksums agree, wherever they are in the file.
 
     Args:
         data: content of the file.
@@ -78,24 +78,27 @@ def salvage(data: bytes, *, progress: Progress = no_progress) -> Salvage:
     Raises:
         InputError: the records are those of several logs.
     """
-    rescued, place = Salvage({}, {}, {}), 0
-    while (match := _BEGINNING.search(data, place)) is not None:
-        place = match.start() + 1
+    rescued, position = Salvage({}, {}, {}), 0
+    while (match := _BEGINNING.search(data, position)) is not None:
+        # Unless the record is valid, the search goes on within it.
+        position = match.start() + 1
         opcode, length = struct.unpack_from("<BQ", data, match.start())
         end = match.start() + layout.LENGTH_FROM + length
-        body = data[match.start() + layout.LENGTH_FROM : end]
+        record_content = data[match.start() + layout.LENGTH_FROM : end]
         with suppress(*MALFORMED):
-            match _KINDS[opcode].read(ReadDataStream(BytesIO(body))):
+            match _KINDS[opcode].read(ReadDataStream(BytesIO(record_content))):
                 case Chunk(uncompressed_crc=checksum) as chunk if checksum:
                     rescued.chunks[unpacked(chunk)] = None
-                case Attachment(name=name, data=content) if zlib.crc32(body[:-4]).to_bytes(4, "little") == body[-4:]:
+                case Attachment(name=name, data=content) if (
+                    zlib.crc32(record_content[:-4]).to_bytes(4, "little") == record_content[-4:]
+                ):
                     rescued.attachments[name] = content
                 case Metadata(name=name, metadata=record) if (values := unsealed(name, record)) is not None:
                     if rescued.metadata.setdefault(name, values) != values:
                         raise InputError(_SEVERAL)
                 case _:
                     continue
-            place = end
+            position = end
             progress("reading valid records", end / len(data))
     return rescued
 
@@ -105,7 +108,11 @@ _AFTER_ALL = 1 << 32
 
 
 def _numbered(data: bytes, tick: layout.TickLayout) -> tuple[int, bytes]:
-    """Return the number of a chunk's first tick, and its records without schemas and channels."""
+    """Return the number of the first tick in a chunk's content, and its message records.
+
+    The recovery sorts chunks by this number. A chunk without ticks comes last. `data` is the content, and `tick` the
+    layout of the log's ticks.
+    """
     messages = located(data, tick, {})
     start = min(int(part.offsets[0]) for part in messages.values() if len(part.offsets))
     numbers = messages[layout.MEASURED].records["sequence"].tolist()
@@ -114,7 +121,7 @@ def _numbered(data: bytes, tick: layout.TickLayout) -> tuple[int, bytes]:
 
 @dataclass(frozen=True)
 class Recovery(Documented):
-    """Ticks and losses of a recovered log.
+    """Ticks and losses of a recovered log, as `dpcontrol recover` reports them.
 
     Attributes:
         source: file that was read.
@@ -168,24 +175,24 @@ def recover(
     try:
         rescued = salvage(data, progress=progress)
         tick = described_layout(path, rescued.metadata.get(layout.LAYOUT_RECORD, {}))
-        numbered = sorted((_numbered(data, tick) for data in rescued.chunks), key=itemgetter(0))
-        pieces = [data for _, data in numbered]
+        numbered_chunks = sorted((_numbered(data, tick) for data in rescued.chunks), key=itemgetter(0))
+        pieces = [data for _, data in numbered_chunks]
         ticks = located(b"".join(pieces), tick, {})[layout.MEASURED].records
         if (np.diff(ticks["sequence"].astype(np.int64)) <= 0).any():
             raise InputError(_SEVERAL)
-        done = _account(path, _free_name(path) if out is None else Path(out), rescued, ticks)
+        recovery = _account(path, _free_name(path) if out is None else Path(out), rescued, ticks)
     except (InputError, *MALFORMED) as error:
         raise InputError(
             f"{path} cannot be recovered ({error}): too little of it is sound, or another program has rewritten it; "
             "make it again with `dpcontrol run` or with that program"
         ) from error
-    check_replaced(done.log, rescued.metadata.get(layout.RUN_RECORD, {}), recovers=path, force=force)
-    _write(rescued, tick, pieces, done)
-    return done
+    check_replaced(recovery.log, rescued.metadata.get(layout.RUN_RECORD, {}), recovers=path, force=force)
+    _write(rescued, tick, pieces, recovery)
+    return recovery
 
 
 def _free_name(path: Path) -> Path:
-    """Return the log's name for the recovered log if it is free, or a similar free name."""
+    """Return a free name for the recovered log: that of the log if only its partial file exists, else a similar one."""
     stem = re.sub(r"\.mcap((\.\d+-\d+)?\.partial)?$", "", path.name)
     endings = ("" if path.suffix == SUFFIX else "-recovered", "-recovered", *(f"-recovered-{k}" for k in range(2, 999)))
     return next(name for ending in endings if not (name := path.with_name(f"{stem}{ending}.mcap")).exists())
@@ -194,19 +201,21 @@ def _free_name(path: Path) -> Path:
 def _account(path: Path, log: Path, rescued: Salvage, measured: NDArray[Any]) -> Recovery:
     """List the recovered and the missing parts of the log, whose measured positions have these records.
 
+    `path` is the damaged file, and `log` is the new log's path. `rescued` are the sound records.
+
     Raises:
         Exception: one of `MALFORMED`: there is no tick, or a record has other contents.
     """
-    described, result = rescued.metadata[layout.LAYOUT_RECORD], rescued.metadata.get(layout.RESULT_RECORD)
-    period, names = 1 / float(described["rate_hz"]), json.loads(described["attachments"])
+    layout_values, result = rescued.metadata[layout.LAYOUT_RECORD], rescued.metadata.get(layout.RESULT_RECORD)
+    period, names = 1 / float(layout_values["rate_hz"]), json.loads(layout_values["attachments"])
     ticks, end_s = len(measured), float(measured["log_time"][-1]) / 1e9
     missing = (int(measured["sequence"][-1]) + 1 if result is None else int(result[layout.TICKS])) - ticks
     attachments_lost = tuple(name for name in names if name not in rescued.attachments)
-    most = 1e3 * max(LONGEST_CHUNK, period)
+    largest_loss = 1e3 * max(LONGEST_CHUNK, period)
     losses = {
         rescued.metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST, ""): True,
         f"{missing} ticks ({1e3 * missing * period:.0f} ms)": missing > 0,
-        f"everything after {end_s:.3f} s (at most {most:.0f} ms if the run was killed)": result is None,
+        f"everything after {end_s:.3f} s (at most {largest_loss:.0f} ms if the run was killed)": result is None,
         f"the attachments {', '.join(attachments_lost)}": bool(attachments_lost),
         "the metadata of the run": layout.RUN_RECORD not in rescued.metadata,
     }
@@ -220,12 +229,16 @@ def _account(path: Path, log: Path, rescued: Salvage, measured: NDArray[Any]) ->
         end_known=result is not None,
         attachments=tuple(name for name in rescued.attachments if name in names),
         attachments_lost=attachments_lost,
-        lost="; ".join(loss for loss, happened in losses.items() if loss and happened),
+        lost="; ".join(loss for loss, applies in losses.items() if loss and applies),
     )
 
 
 def _write(rescued: Salvage, tick: layout.TickLayout, pieces: Sequence[bytes], done: Recovery) -> None:
-    """Write the new log, read it back, and move it to its final name."""
+    """Write the new log from the sound records and the chunks `pieces`, read it back, and move it to its final name.
+
+    Raises:
+        InputError: the new log cannot be written, or does not have the recovered ticks.
+    """
     records = {**rescued.metadata, layout.RECOVERY_RECORD: {layout.LOST: done.lost, "source": done.source.name}}
     with whole_file(done.log) as temporary:
         file = McapFile(FileIO(temporary, "wb"), library=PROGRAM)

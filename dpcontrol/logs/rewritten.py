@@ -33,7 +33,14 @@ class Batch(NamedTuple):
 
 @dataclass
 class Topic:
-    """Messages of one topic in file order, with times in ns and bodies in CDR."""
+    """Messages of one topic in file order.
+
+    Attributes:
+        name: name of the topic.
+        schema: type of the messages.
+        times: times, ns.
+        bodies: contents in CDR.
+    """
 
     name: str
     schema: str
@@ -49,25 +56,25 @@ class Topic:
         Raises:
             ValueError: a message is not the template with other numbers, or differs from another of the same time.
         """
-        kind, start = layout.record_type(message), layout.RECORD_HEADER.itemsize
+        structure, start = layout.record_type(message), layout.RECORD_HEADER.itemsize
         if {len(body) for body in self.bodies} != {len(message.data)}:
             raise ValueError(f"a message of {self.name} has another length than those of the log")
-        raw = np.zeros((len(self.times), kind.itemsize), np.uint8)
+        raw = np.zeros((len(self.times), structure.itemsize), np.uint8)
         raw[:, start:] = np.frombuffer(b"".join(self.bodies), np.uint8).reshape(len(raw), -1)
-        blank, table = raw.copy(), raw.view(kind)[:, 0]
+        without_numbers, table = raw.copy(), raw.view(structure)[:, 0]
         for name in message.fields:
-            blank.view(kind)[name] = 0
-        if (blank[:, start:] != np.frombuffer(message.data, np.uint8)).any():
+            without_numbers.view(structure)[name] = 0
+        if (without_numbers[:, start:] != np.frombuffer(message.data, np.uint8)).any():
             raise ValueError(f"a message of {self.name} has other joints or fields than those of the log")
         table["log_time"] = self.times
-        moments, first = np.unique(table["log_time"], return_index=True)
-        if len(set(zip(self.times, self.bodies, strict=True))) > len(moments):
+        times, first_rows = np.unique(table["log_time"], return_index=True)
+        if len(set(zip(self.times, self.bodies, strict=True))) > len(times):
             raise ValueError(f"{self.name} has different messages at one time, as of two runs")
-        return table[first]
+        return table[first_rows]
 
 
 def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
-    """Return the CDR topics of messages, with the times of the run.
+    """Return the topics whose messages are in CDR, with the times of the run.
 
     Recorders stamp messages with their own clock, but keep the stamp in the header of a joint state.
 
@@ -83,14 +90,14 @@ def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
     measured = topics.get(layout.MEASURED)
     if measured is not None and measured.schema == layout.JOINT_STATE[0]:
         stamps = np.frombuffer(b"".join(body[4:12] for body in measured.bodies), "<u4").reshape(-1, 2)
-        shifts = set((np.array(measured.times) - stamps @ [10**9, 1]).tolist())
-        for topic in topics.values() if len(shifts) == 1 else ():
-            topic.times = [time - min(shifts) for time in topic.times]
+        clock_shifts = set((np.array(measured.times) - stamps @ [10**9, 1]).tolist())
+        for topic in topics.values() if len(clock_shifts) == 1 else ():
+            topic.times = [time - min(clock_shifts) for time in topic.times]
     return topics
 
 
 def ticks_in(topics: Mapping[str, Topic], described: layout.TickLayout) -> tuple[layout.TickLayout, Batch]:
-    """Return layout and messages of the log in these topics.
+    """Return the layout of the topics that are left in a rewritten log, and their messages.
 
     Args:
         topics: messages by topic.
@@ -99,20 +106,22 @@ def ticks_in(topics: Mapping[str, Topic], described: layout.TickLayout) -> tuple
     Raises:
         ValueError: a topic that every log has is missing, or messages are not those of a log.
     """
-    parts = {**layout.STATE_TOPICS, "control": layout.CONTROL, "rates": layout.MEASURED}
-    held = frozenset(part for part in described.parts if parts[part] in topics)
+    topic_of_part = {**layout.STATE_TOPICS, "control": layout.CONTROL, "rates": layout.MEASURED}
+    present_parts = frozenset(part for part in described.parts if topic_of_part[part] in topics)
     extras = described.extras if layout.EXTRAS in topics else ()
-    tick = replace(described, parts=held, extras=extras)
+    tick = replace(described, parts=present_parts, extras=extras)
     if layout.MEASURED not in topics:
         raise ValueError(f"it lacks {layout.MEASURED} in cdr")
     tables = {name: topics[name].table(message) for name, message in tick.messages.items()}
-    common = reduce(np.intersect1d, [table["log_time"] for table in tables.values()])
-    if len(common) < 2:
-        raise ValueError(f"it has {len(common)} ticks, times with a message in every state topic, and two are needed")
-    tables = {name: table[np.isin(table["log_time"], common)] for name, table in tables.items()}
+    tick_times = reduce(np.intersect1d, [table["log_time"] for table in tables.values()])
+    if len(tick_times) < 2:
+        raise ValueError(
+            f"it has {len(tick_times)} ticks, times with a message in every state topic, and two are needed"
+        )
+    tables = {name: table[np.isin(table["log_time"], tick_times)] for name, table in tables.items()}
     if extras:
         tables[layout.EXTRAS] = topics[layout.EXTRAS].table(tick.extras_message)
     events = topics.get(layout.EVENTS, Topic("", ""))
     times = {name: np.array(topic.times) for name, topic in topics.items()}
-    rate = 1e9 / float(np.median(np.diff(common)))
+    rate = 1e9 / float(np.median(np.diff(tick_times)))
     return replace(tick, rate_hz=rate), Batch(tables, times, list(zip(events.times, events.bodies, strict=True)))

@@ -43,7 +43,7 @@ _SOON = 1e-6
 
 @dataclass
 class Digest:
-    """Figures and events of one file of a night.
+    """Figures and events of one file of a night, from which the night's report is made.
 
     Attributes:
         number: number of the file, from 1.
@@ -86,12 +86,12 @@ class Digest:
     deadlines: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Initialise the running sums."""
+        """Initialise the running sums, which are not part of the JSON text."""
         self._now_on = self.on
         self._sums: Array | float = 0.0
 
     def text(self) -> str:
-        """Return the digest in JSON."""
+        """Return the digest in JSON, as the file beside the log holds it."""
         return json.dumps(asdict(self), indent=1)
 
     @classmethod
@@ -120,17 +120,17 @@ class Digest:
         Args:
             event: the event.
         """
-        name, ends = event.name, LEVELS[event.level] >= LEVELS["error"] or event.name == "finished"
-        if name in _RECORDED or ends:
+        name, ends_run = event.name, LEVELS[event.level] >= LEVELS["error"] or event.name == "finished"
+        if name in _RECORDED or ends_run:
             self.events.append(event)
         else:
             self.others[name] = self.others.get(name, 0) + 1
         # A repetition that joins the next is reported at once, any other repetition when the itinerary is left.
         self.repetitions += self._now_on if name == LAP else name == RETURN and event.level == "info"
-        self._now_on = name in (RESUME, LAP) or (self._now_on and name != RETURN and not ends)
+        self._now_on = name in (RESUME, LAP) or (self._now_on and name != RETURN and not ends_run)
 
     def add_ticks(self, times: Array, period: float, state: Array, reference: Array, extras: Array | None) -> None:
-        """Count the next rows of the loop.
+        """Add the next rows of the loop to the figures.
 
         Args:
             times: (K,) s.
@@ -165,7 +165,7 @@ class Digest:
         }
 
     def close(self, names: tuple[str, ...]) -> None:
-        """Complete the digest at the end of the file.
+        """Complete the digest at the end of the file, with the estimated parameters and the process's memory.
 
         Args:
             names: names of the extras.
@@ -179,7 +179,7 @@ class Digest:
 
 
 def digest_of_log(log: RunLog, *, size: int) -> Digest:
-    """Return the digest of one file of a night, without estimated parameters and memory.
+    """Return the digest of one file of a night, without estimated parameters and memory, if its own digest is missing.
 
     Args:
         log: log of that file.
@@ -193,10 +193,11 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
     limit = 0.0 if log.limits is None else log.limits[0]
     digest = Digest(**json.loads(log.metadata[NIGHT_METADATA]), limit=limit, size=size)
     state = log.estimate if log.truth is None else log.truth
-    places = np.searchsorted(log.time, [event.time - _SOON for event in log.events]).tolist()
-    edges = [0, *accumulate(places, max), len(log.time)]
-    for (first, until), event in zip(pairwise(edges), [*log.events, None], strict=True):
-        rows = slice(first, until)
+    # An event belongs before the tick of its time, as during the run.
+    event_rows = np.searchsorted(log.time, [event.time - _SOON for event in log.events]).tolist()
+    row_edges = [0, *accumulate(event_rows, max), len(log.time)]
+    for (first, end), event in zip(pairwise(row_edges), [*log.events, None], strict=True):
+        rows = slice(first, end)
         digest.add_ticks(log.time[rows], 1 / log.rate_hz, state[rows], log.reference[rows], None)
         if event is not None:
             digest.add_event(event)
@@ -244,6 +245,7 @@ class RollingLog:
         self.folder, self.name, self.extras = folder, name, extras
         self._make, self._seconds, self._keep_every, self._begin = make, seconds, keep_every, begin
         self._period, self._end = 1 / rate_hz, end
+        # None while no file can be written.
         self._writer: LogWriter | None = None
         self._digest = Digest(number, session, limit=limit)
         self._file_ends(begin)
@@ -301,6 +303,10 @@ class RollingLog:
         self._attempt(lambda writer: writer.result(**values))
 
     def _roll(self, now: float) -> None:
+        """Finish the current file, and begin the next one at `now` s since the start of the night.
+
+        The log before the finished one may be deleted then.
+        """
         self._finish()
         self._thin(self._digest.number - 1)
         self._digest = self._digest.following(self._digest.number + 1)
@@ -311,13 +317,22 @@ class RollingLog:
             self._lose(error)
 
     def _file_ends(self, now: float) -> None:
-        until = (math.floor(now / self._seconds + _SOON) + 1) * self._seconds
-        self._until = until if until < self._end - _SOON else math.inf
+        """Set the time at which the file that begins at `now` s ends: the next multiple of a file's length.
+
+        The last file of the night has no end, so that it takes everything until the run ends.
+        """
+        end = (math.floor(now / self._seconds + _SOON) + 1) * self._seconds
+        self._until = end if end < self._end - _SOON else math.inf
 
     def _open(self) -> None:
+        """Open the writer of the current file, whose metadata contain its position in the night.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
         digest = self._digest
-        place = {"number": digest.number, "session": digest.session, "on": digest.on}
-        self._writer = self._make(self.path(digest.number), {NIGHT_METADATA: json.dumps(place)}).__enter__()
+        position = {"number": digest.number, "session": digest.session, "on": digest.on}
+        self._writer = self._make(self.path(digest.number), {NIGHT_METADATA: json.dumps(position)}).__enter__()
 
     def _attempt(self, write: Callable[[LogWriter], None]) -> None:
         """Write to the current file, if there is one; after an error the night continues without it."""
@@ -332,16 +347,17 @@ class RollingLog:
             self._lose(error)
 
     def _lose(self, error: Exception) -> None:
+        """Note in the digest why the current file is missing, and tell the user for how long."""
         self._digest.loss = str(error)
-        until = f"up to {self._until / 60:g} minutes at least" if self._until < math.inf else "to its end"
-        remark(f"{error}; the run goes on, without a log {until}")
+        duration = f"up to {self._until / 60:g} minutes at least" if self._until < math.inf else "to its end"
+        remark(f"{error}; the run goes on, without a log {duration}")
 
     def _finish(self) -> None:
         """Finish the current file and write its digest; a file without ticks is discarded."""
         digest = self._digest
         path = self.path(digest.number)
-        nothing = None if digest.ticks else InputError(f"{path}: no ticks to log")
-        self._attempt(lambda writer: writer.__exit__(nothing and InputError, nothing, None))
+        no_ticks = None if digest.ticks else InputError(f"{path}: no ticks to log")
+        self._attempt(lambda writer: writer.__exit__(no_ticks and InputError, no_ticks, None))
         digest.close(self.extras)
         if digest.ticks:
             digest.size = 0 if self._writer is None else path.stat().st_size
@@ -350,7 +366,10 @@ class RollingLog:
         self._writer = None
 
     def _thin(self, number: int) -> None:
-        """Delete a file unless its digest is missing or it is one of those to keep."""
+        """Delete a log unless its digest is missing or it is one of every `keep_every` logs, to save disk space.
+
+        `number` is that of the log.
+        """
         if (number - 1) % self._keep_every and self.path(number, ".json").is_file():
             with suppress(OSError):
                 self.path(number).unlink()

@@ -69,7 +69,7 @@ def link_frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[s
 
 
 def link_poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has_cart: bool) -> NDArray[np.float64]:
-    """Return the pose of each of `link_frames` in its parent.
+    """Return the pose of each of `link_frames` in its parent, with which viewers draw the arms.
 
     Args:
         states: (K, 2n+2), or (K, 2n) without a cart; rad, rad/s, m, m/s.
@@ -80,17 +80,17 @@ def link_poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has
         (K, F, 7): x, y, z in m and the quaternion's x, y, z, w.
     """
     arms = len(arm_lengths)
-    first = 1 + has_cart
-    half = states[:, :arms] / 2
-    sine, cosine = np.sin(half), np.cos(half)
-    poses = np.zeros((len(states), first + 2 * arms - 1, 7))
-    poses[:, :first, 6] = 1.0
+    first_arm = 1 + has_cart
+    half_angles = states[:, :arms] / 2
+    sine, cosine = np.sin(half_angles), np.cos(half_angles)
+    poses = np.zeros((len(states), first_arm + 2 * arms - 1, 7))
+    poses[:, :first_arm, 6] = 1.0
     if has_cart:
         poses[:, 1, 0] = states[:, 2 * arms]
     # Counter-clockwise with x right and z up is a turn about -y; arms and elbows alternate.
-    poses[:, first::2, 4], poses[:, first::2, 6] = -sine, cosine
-    poses[:, first + 1 :: 2, 4], poses[:, first + 1 :: 2, 6] = sine[:, :-1], cosine[:, :-1]
-    poses[:, first + 1 :: 2, 2] = -np.asarray(arm_lengths[:-1])
+    poses[:, first_arm::2, 4], poses[:, first_arm::2, 6] = -sine, cosine
+    poses[:, first_arm + 1 :: 2, 4], poses[:, first_arm + 1 :: 2, 6] = sine[:, :-1], cosine[:, :-1]
+    poses[:, first_arm + 1 :: 2, 2] = -np.asarray(arm_lengths[:-1])
     return poses
 
 
@@ -101,7 +101,7 @@ def robot_description(
     limits: tuple[float, float, float] | None = None,
     ghost: bool = False,
 ) -> str:
-    """Return the URDF of the pendulum.
+    """Return the URDF of the pendulum, from which viewers take the shapes of its links.
 
     Args:
         arm_lengths: (n,) in m.
@@ -110,30 +110,32 @@ def robot_description(
         ghost: True for the reference: grey arms without track, whose names have a prefix.
     """
     prefix = REFERENCE_PREFIX if ghost else ""
-    reach, speed = (limits[0], limits[1]) if limits else (max(sum(arm_lengths), 0.1), 3.0)
-    ink = _INK["ghost" if ghost else "robot"]
+    track_end, speed = (limits[0], limits[1]) if limits else (max(sum(arm_lengths), 0.1), 3.0)
+    colours = _INK["ghost" if ghost else "robot"]
     # The ghost swings just behind the robot; in one plane the two would flicker.
     depth = 1.5 * _THICKNESS if ghost else 0.0
     frames = link_frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
-    visuals = _visuals(arm_lengths, reach=reach, drawn=not ghost and has_cart, has_cart=has_cart)
-    rail = f'<limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
-    joints = [("prismatic", f'<axis xyz="1 0 0"/>{rail}')] if has_cart else []
+    visuals = _visuals(arm_lengths, reach=track_end, drawn=not ghost and has_cart, has_cart=has_cart)
+    track_limit = f'<limit lower="{-track_end:g}" upper="{track_end:g}" velocity="{speed:g}" effort="0"/>'
+    joints = [("prismatic", f'<axis xyz="1 0 0"/>{track_limit}')] if has_cart else []
     for i, length in enumerate(arm_lengths, start=1):
         origin = f'<origin xyz="0 0 {-length:g}" rpy="0 0 0"/>'
         mimic = f'<mimic joint="{prefix}arm_{i}" multiplier="-1" offset="0"/>'
         joints += [("continuous", _AXIS), ("continuous", origin + _AXIS + mimic)]
     lines = ['<?xml version="1.0"?>', f'<robot name="{"reference_" if ghost else ""}pendulum">']
-    lines += [f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()]
+    lines += [
+        f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in colours.items()
+    ]
     for (_, link), shapes in zip(frames, visuals, strict=True):
-        drawn = [
-            f'    <visual><origin xyz="{x:g} {y + depth:g} {z:g}" rpy="{turn}"/><geometry>{shape}</geometry>'
+        drawn_shapes = [
+            f'    <visual><origin xyz="{x:g} {y + depth:g} {z:g}" rpy="{rotation}"/><geometry>{shape}</geometry>'
             f'<material name="{prefix}{part}"/></visual>'
-            for (shape, turn), (x, y, z), part in shapes
+            for (shape, rotation), (x, y, z), part in shapes
         ]
-        lines += [f'  <link name="{link}">', *drawn, "  </link>"]
+        lines += [f'  <link name="{link}">', *drawn_shapes, "  </link>"]
     for (parent, child), (kind, body) in zip(frames[1:], joints, strict=False):
-        ends = f'<parent link="{parent}"/><child link="{child}"/>'
-        lines.append(f'  <joint name="{child.removesuffix("_link")}" type="{kind}">{ends}{body}</joint>')
+        parent_and_child = f'<parent link="{parent}"/><child link="{child}"/>'
+        lines.append(f'  <joint name="{child.removesuffix("_link")}" type="{kind}">{parent_and_child}{body}</joint>')
     return "\n".join([*lines, "</robot>"]) + "\n"
 
 
@@ -143,29 +145,34 @@ _Visual = tuple[tuple[str, str], tuple[float, float, float], str]
 
 
 def _box(x: float, y: float, z: float) -> tuple[str, str]:
+    """Return the URDF of a box with edges x, y, z in m, and its rotation (roll, pitch, yaw)."""
     return f'<box size="{x:g} {y:g} {z:g}"/>', "0 0 0"
 
 
 def _disc(radius: float) -> tuple[str, str]:
+    """Return the URDF of a disc in the plane of motion with a radius in m, and its rotation (roll, pitch, yaw)."""
     return f'<cylinder radius="{radius:g}" length="{1.4 * _THICKNESS:g}"/>', "1.5707963 0 0"
 
 
 def _visuals(arm_lengths: Sequence[float], *, reach: float, drawn: bool, has_cart: bool) -> list[list[_Visual]]:
-    """Return the shapes of each link, of the track only if it is drawn."""
-    wide, stop, hub = 0.06, reach + 0.05, _disc(1.3 * _THICKNESS)
-    track: list[_Visual] = [(_box(2 * reach + 0.1, wide, 0.01), (0, 0.06, -0.02), "track")]
-    track += [(_box(_THICKNESS, wide, 0.03), (x, 0.06, 0), "track") for x in (-stop, stop)]
+    """Return the shapes of each link, in the order of `link_frames`; those of the track only if it is drawn.
+
+    `reach` is the largest distance of the cart from the centre, m.
+    """
+    width, stop_place, hub = 0.06, reach + 0.05, _disc(1.3 * _THICKNESS)
+    track: list[_Visual] = [(_box(2 * reach + 0.1, width, 0.01), (0, 0.06, -0.02), "track")]
+    track += [(_box(_THICKNESS, width, 0.03), (x, 0.06, 0), "track") for x in (-stop_place, stop_place)]
     cart: list[_Visual] = [
-        (_box(0.1, wide, 0.03), (0, 0.06, 0), "cart"),
+        (_box(0.1, width, 0.03), (0, 0.06, 0), "cart"),
         (_disc(0.6 * _THICKNESS), (0, 0.02, 0), "cart"),
     ]
     visuals = [track if drawn else [], *([cart] if has_cart else [])]
     for i, length in enumerate(arm_lengths):
         # Each arm swings in front of the previous one, as on the rig, so it is drawn in full.
-        y = -1.6 * _THICKNESS * i
-        end = "tip" if i + 1 == len(arm_lengths) else "cart"
-        arm = (_box(1.6 * _THICKNESS, _THICKNESS, length), (0, y, -length / 2), "arm")
-        visuals += [[arm, (hub, (0, y, 0), "cart"), (hub, (0, y, -length), end)], []]
+        depth = -1.6 * _THICKNESS * i
+        end_material = "tip" if i + 1 == len(arm_lengths) else "cart"
+        arm = (_box(1.6 * _THICKNESS, _THICKNESS, length), (0, depth, -length / 2), "arm")
+        visuals += [[arm, (hub, (0, depth, 0), "cart"), (hub, (0, depth, -length), end_material)], []]
     return visuals[:-1]
 
 
@@ -173,7 +180,13 @@ Row = NDArray[np.float64]
 
 
 class Note(NamedTuple):
-    """A single message, with its time in ns."""
+    """A single message that is logged in addition to the ticks, such as an event.
+
+    Attributes:
+        topic: its topic.
+        time_ns: its time, ns.
+        content: its content in CDR.
+    """
 
     topic: str
     time_ns: int
@@ -181,7 +194,7 @@ class Note(NamedTuple):
 
 
 class ChunkEncoder:
-    """Encodes the chunks of a log in order.
+    """Encodes the chunks of a log in order, with the numbers of their messages.
 
     Args:
         tick: layout of the ticks.
@@ -198,6 +211,7 @@ class ChunkEncoder:
         self._slow = {
             topic: layout.Block({topic: messages[topic]}, tick.channels) for topic in messages if topic in tick.channels
         }
+        # Number of the last slow message.
         self._last_due = -1
 
     def encode(self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]) -> bytes:
@@ -214,20 +228,20 @@ class ChunkEncoder:
             block[topic][field][:, joints] = rows[part][:, columns]
         records = []
         for note in notes:
-            head = self.tick.channels[note.topic], self._counts[note.topic]
-            records.append(layout.record(*head, note.time_ns, note.content))
+            channel_and_number = self.tick.channels[note.topic], self._counts[note.topic]
+            records.append(layout.record(*channel_and_number, note.time_ns, note.content))
             self._counts[note.topic] += 1
-        numbers = slow_numbers(times)
-        due = np.diff(numbers, prepend=self._last_due) > 0
-        self._last_due = max(numbers.tolist(), default=self._last_due)
-        times, rows = times[due], {part: values[due] for part, values in rows.items()}
+        slow_message_numbers = slow_numbers(times)
+        is_due = np.diff(slow_message_numbers, prepend=self._last_due) > 0
+        self._last_due = max(slow_message_numbers.tolist(), default=self._last_due)
+        times, rows = times[is_due], {part: values[is_due] for part, values in rows.items()}
         records.append(self._transforms(times, rows))
         if "extras" in rows:
             records.append(self._records(layout.EXTRAS, times, {"row": rows["extras"]}))
         return b"".join([*records, block.tobytes()])
 
     def _records(self, topic: str, times: NDArray[np.int64], values: Mapping[str, Row]) -> bytes:
-        """Return the records of a slow topic."""
+        """Return the message records of a slow topic at `times` (K,), ns, with `values` (K, …) of its fields."""
         records = self._slow[topic].filled(times, self._counts[topic])
         for name, numbers in values.items():
             records[topic][name] = numbers
@@ -235,22 +249,29 @@ class ChunkEncoder:
         return records.tobytes()
 
     def _transforms(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> bytes:
-        """Return the records of /tf: of the truth, the estimate or the measured positions, and of the reference."""
+        """Return the records of /tf at `times` (K,), ns: poses of the arms and, behind them, of the reference.
+
+        The arms have the true states, else the estimate, else the measured positions; `rows` (K, width) are the parts.
+        """
         measured, arms = rows["measured"], self.tick.arms
         states = np.zeros((len(measured), self.tick.widths["truth"]))
         states[:, :arms], states[:, 2 * arms : 2 * arms + 1] = measured[:, :arms], measured[:, arms:]
         robots = [rows.get("truth", rows.get("estimate", states))]
         robots += [rows["reference"]] if "reference" in rows else []
         # Readers of transforms reject poses that are not finite.
-        chosen = np.isfinite(np.hstack(robots)).all(axis=1)
-        states = np.stack([robot[chosen] for robot in robots], axis=1).reshape(-1, states.shape[1])
+        is_finite = np.isfinite(np.hstack(robots)).all(axis=1)
+        states = np.stack([robot[is_finite] for robot in robots], axis=1).reshape(-1, states.shape[1])
         poses = link_poses(states, arm_lengths=self.tick.arm_lengths, has_cart=self.tick.has_cart)
-        links = poses.reshape(int(chosen.sum()), len(robots) * poses.shape[1], 7).swapaxes(0, 1)
-        return self._records(layout.TRANSFORMS, times[chosen], {f"{i}.pose": pose for i, pose in enumerate(links)})
+        poses_by_frame = poses.reshape(int(is_finite.sum()), len(robots) * poses.shape[1], 7).swapaxes(0, 1)
+        return self._records(
+            layout.TRANSFORMS, times[is_finite], {f"{i}.pose": pose for i, pose in enumerate(poses_by_frame)}
+        )
 
 
 def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the number, from 0, of the last slow message due at each time.
+
+    A tick gets a slow message if its number is new, which gives the rate `SLOW_RATE`.
 
     Args:
         times: times (K,), ns.
@@ -304,11 +325,14 @@ class LogWriter:
             tuple(map(float, arm_lengths)), has_cart, float(rate_hz), limits=limits, extras=self.extras
         )
         self._metadata, self._attachments = dict(metadata or {}), dict(attachments or {})
+        # Ticks of a chunk: as many as are written at least, and at most.
         self._least, self._size = (max(1, round(seconds * rate_hz)) for seconds in (CHUNK_SECONDS, LONGEST_CHUNK))
         self._times = np.zeros(self._size)
+        # Rows of the ticks that wait for the next chunk.
         self._rooms = {name: np.zeros((self._size, width)) for name, width in self._tick.widths.items()}
         # The first tick decides which of these parts the log has.
         self._parts: frozenset[str] = frozenset()
+        # Ticks that wait, ticks that are written, and the time of the last one, s.
         self._filled = self._ticks = 0
         self._last = 0.0
         self._notes: list[Note] = []
@@ -382,14 +406,14 @@ class LogWriter:
         rows = {name: values for name, values in parts.items() if values is not None}
         if self._parts and self._parts != rows.keys():
             raise ValueError(f"{', '.join(self._parts ^ rows.keys())} must be given in every tick of a run or in none")
-        self._parts, done = frozenset(rows), 0
-        while done < len(times):
-            count = min(self._size - self._filled, len(times) - done)
-            into, taken = slice(self._filled, self._filled + count), slice(done, done + count)
-            self._times[into] = times[taken]
+        self._parts, written = frozenset(rows), 0
+        while written < len(times):
+            count = min(self._size - self._filled, len(times) - written)
+            free_rows, given_rows = slice(self._filled, self._filled + count), slice(written, written + count)
+            self._times[free_rows] = times[given_rows]
             for name, values in rows.items():
-                self._rooms[name][into] = values[taken]
-            self._filled, self._last, done = self._filled + count, float(times[done + count - 1]), done + count
+                self._rooms[name][free_rows] = values[given_rows]
+            self._filled, self._last, written = self._filled + count, float(times[written + count - 1]), written + count
             if self._filled == self._size:
                 self._write_chunk()
         if self._filled >= self._least:
@@ -412,7 +436,10 @@ class LogWriter:
         self._notes.append(Note(layout.EVENTS, round(event.time * 1e9), layout.log(event)))
 
     def _prepared(self) -> ChunkEncoder:
-        """Write what precedes the first chunk, which waits for it, because the parts of a tick are unknown before."""
+        """Write the records before the first chunk: the layout, the channels and the arms' descriptions.
+
+        They wait for the first chunk because the parts of a tick are unknown before. Return the encoder of the chunks.
+        """
         tick = replace(self._tick, parts=self._parts & set(layout.PARTS))
         described = {**tick.record(), "attachments": json.dumps(list(self._attachments)), "program": PROGRAM}
         self._file.add_metadata(layout.LAYOUT_RECORD, described)
@@ -426,6 +453,11 @@ class LogWriter:
         return ChunkEncoder(tick)
 
     def _write_chunk(self) -> None:
+        """Write the collected ticks and single messages as a chunk.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
         count = self._filled
         times = np.rint(self._times[:count] * 1e9).astype(np.int64)
         rows = {name: self._rooms[name][:count] for name in self._parts or {"measured"}}

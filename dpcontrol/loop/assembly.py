@@ -46,14 +46,17 @@ from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
 _PLACES = 100.0
-"""Sampling rate of the reference for catching a run, Hz."""
+"""Rate of the places of a reference at which a run can be caught, Hz."""
 _HELD = 10.0
 """Simulated duration of a hold when its margins are computed, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """Reference, model arms and settings of a run, with their parts."""
+    """Reference, model arms and settings of a run, from which the parts of its closed loop are made.
+
+    The parts are built when they are first needed, and shared by all runs of the assembly.
+    """
 
     reference: Reference
     arms: ArmChainParameters
@@ -70,23 +73,23 @@ class Assembly:
     """Assembly whose fallback and recovery this one uses."""
 
     def under(self, settings: LoopSettings) -> "Assembly":
-        """Return an assembly with this controller under other settings.
+        """Return an assembly that keeps this controller under other settings, so that many runs share one controller.
 
         It uses the same fallback and recovery if its supervisor and its drive's delay are the same.
 
         Args:
             settings: settings that differ in bench, supervisor or seed only.
         """
-        before = self.settings
-        same = (settings.supervisor, settings.drive.delay) == (before.supervisor, before.drive.delay)
-        return replace(self, settings=settings, law=self.controller, base=self if same else None)
+        old_settings = self.settings
+        shares_recovery = (settings.supervisor, settings.drive.delay) == (
+            old_settings.supervisor,
+            old_settings.drive.delay,
+        )
+        return replace(self, settings=settings, law=self.controller, base=self if shares_recovery else None)
 
     @property
     def limits(self) -> Limits:
-        """The cart's limits.
-
-        Those of the reference, with the travel of the settings if given.
-        """
+        """The cart's limits: those of the reference, with the travel of the settings if it is given."""
         return self.settings.limits(self.reference.limits)
 
     @property
@@ -96,18 +99,20 @@ class Assembly:
 
     @property
     def model(self) -> SampledModel:
-        """Model of controller and filter.
+        """Model of arms and drive from tick to tick, which controller and filter use.
 
-        It has no dry friction if a hold estimates disturbances.
+        It has no dry friction if a hold estimates disturbances, because the estimated disturbance includes it.
         """
         settings = self.settings
-        leaves = isinstance(settings.controller, HoldSettings) and Augment.DISTURBANCE in settings.filters.augments
-        arms = replace(self.arms, coulomb=()) if leaves else self.arms
+        omits_friction = (
+            isinstance(settings.controller, HoldSettings) and Augment.DISTURBANCE in settings.filters.augments
+        )
+        arms = replace(self.arms, coulomb=()) if omits_friction else self.arms
         return sampled_model(arms, settings.rate, settings.known_lag)
 
     @cached_property
     def controller(self) -> Controller:
-        """The given law, or that of the settings for the reference.
+        """The given law, or that of the settings for the reference; all runs of the assembly follow it.
 
         Raises:
             InputError: the reference did not converge or belongs to other arms.
@@ -121,7 +126,7 @@ class Assembly:
 
     @cached_property
     def fallback(self) -> NearestKeeper | None:
-        """The orbits to hold if tracking is lost; None without a fallback.
+        """The laws of which the nearest takes over if tracking is lost; None if the supervisor then stops the cart.
 
         Raises:
             GoalMissed: an orbit was not found or cannot be held.
@@ -131,8 +136,8 @@ class Assembly:
         if self.settings.supervisor.hold == "none":
             return None
         law = self.settings.controller
-        flies = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
-        return nearest_keeper(self.reference, self.arms, self.model, flies=flies)
+        tracking_settings = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
+        return nearest_keeper(self.reference, self.arms, self.model, flies=tracking_settings)
 
     @cached_property
     def recovery(self) -> RecoveryPlan | None:
@@ -144,8 +149,8 @@ class Assembly:
         """
         if self.base is not None:
             return self.base.recovery
-        s, anywhere = self.settings.supervisor, self.settings.start != "planned"
-        if s.on_fall == "stop" and not anywhere:
+        supervisor, anywhere = self.settings.supervisor, self.settings.start != "planned"
+        if supervisor.on_fall == "stop" and not anywhere:
             return None
         start, size = self.settings.start, self.model.dimension
         if not isinstance(start, str) and (len(start) != size or not np.isfinite(start).all()):
@@ -153,37 +158,37 @@ class Assembly:
                 f"run: start = {list(start)}: must be {size} finite numbers: angles, rates, and the cart's position "
                 "and velocity"
             )
-        main = schedule_of(self.controller, whole_periods(self.settings.drive.delay)[1])
-        if main is None or main.law is not None:
-            asks = "run: start" if anywhere else f'supervisor: on_fall = "{s.on_fall}"'
+        gains = schedule_of(self.controller, whole_periods(self.settings.drive.delay)[1])
+        if gains is None or gains.law is not None:
+            key = "run: start" if anywhere else f'supervisor: on_fall = "{supervisor.on_fall}"'
             raise InputError(
-                f"{asks}: {self.controller.kind} as set here has no gains by time, so it cannot resume at a stop; use "
+                f"{key}: {self.controller.kind} as set here has no gains by time, so it cannot resume at a stop; use "
                 '"adaptive", "lqr" or "tvlqr" by time, without keep'
             )
         model, limits, content = self.model, self.limits, self.reference.content
         every = max(1, round(self.settings.rate / _PLACES))
-        sampled = sampled_model(self.arms, self.settings.rate / every)
-        law = self.settings.controller
-        weights = law if isinstance(law, QuadraticWeights) else TvlqrSettings()
-        reach, targets = reached(self.reference, sampled, weights, every=every, limits=limits)
+        coarse_model = sampled_model(self.arms, self.settings.rate / every)
+        controller_settings = self.settings.controller
+        law_weights = controller_settings if isinstance(controller_settings, QuadraticWeights) else TvlqrSettings()
+        reach, targets = reached(self.reference, coarse_model, law_weights, every=every, limits=limits)
         stops = [
             goal_of(reach, targets, stay=stay, period=content.orbit(stop).period, rate=self.settings.rate)
             for stop, stay in zip(content.stops, self.stays, strict=True)
         ]
-        rest = hold_controller(np.zeros(model.dimension), model, HoldSettings(damping=0.0), seconds=4 * RESTING)
-        goals = (*stops, rest_goal(rest, limits))
+        rest_law = hold_controller(np.zeros(model.dimension), model, HoldSettings(damping=0.0), seconds=4 * RESTING)
+        goals = (*stops, rest_goal(rest_law, limits))
         briefing = Briefing(self.arms, self.settings.rate, model.lag, limits, goals)
-        last = content.orbit(content.stops[-1])
-        braking = ScheduledController(padded(braking_controller(self.arms, model).schedule(0), main), "brake")
+        last_orbit = content.orbit(content.stops[-1])
+        braking = ScheduledController(padded(braking_controller(self.arms, model).schedule(0), gains), "brake")
         return RecoveryPlan(
             model, braking, briefing, DirectPilot(briefing),
             tuple(stop.saddle for stop in content.stops), content.symbols,
-            last.curve[:, : model.arms], last.period, main, padded(rest.schedule(0), main), reach,
-            s.on_fall == "restart", 1 if s.on_fall == "stop" else s.attempts, anywhere,
+            last_orbit.curve[:, : model.arms], last_orbit.period, gains, padded(rest_law.schedule(0), gains), reach,
+            supervisor.on_fall == "restart", 1 if supervisor.on_fall == "stop" else supervisor.attempts, anywhere,
         )  # fmt: skip
 
     def ticker(self, *, runs: int = 1) -> Ticker:
-        """Return controller, estimator and supervisor for one or more runs.
+        """Return a new ticker: controller, estimator and supervisor of one run, or of several in lockstep.
 
         Args:
             runs: number of runs, default 1.
@@ -206,25 +211,29 @@ class Assembly:
         return Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=kind)
 
     def _bounds(self, trust: float) -> dict[str, float]:
-        """Return the numbers by which a tick is judged (`tick_parts.Numbers`)."""
-        settings, limits, s = self.settings, self.limits, self.settings.supervisor
+        """Return the numbers by which a tick is judged, by their names in `tick_parts.Numbers`.
+
+        `trust` is the range in which an adaptive law trusts its estimates.
+        """
+        settings, limits, supervisor = self.settings, self.limits, self.settings.supervisor
         delay = settings.drive.delay
         return {
             "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": limits.position,
             "reaction": (delay + 1) / settings.rate + settings.known_lag,
             # The predicted state is that at which a command acts, so it includes the delay.
             "onset": (delay - whole_periods(delay)[1] + 1) / settings.rate + settings.known_lag,
-            "brake": 2 * s.braking * limits.acceleration,
-            "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
-            "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing,
-            "can_hold": s.hold != "none",
+            "brake": 2 * supervisor.braking * limits.acceleration,
+            "margin": supervisor.margin, "lost_tracking": supervisor.lost_tracking,
+            "lost_estimate": supervisor.lost_estimate,
+            "resynchronise": supervisor.resynchronise, "restarts": supervisor.restarts, "missing": supervisor.missing,
+            "can_hold": supervisor.hold != "none",
             "trust": trust, "mode": Mode.TRACKING, "scale": settings.sensors.cart_resolution,
             "drive_noise": settings.drive.command_noise,
         }  # fmt: skip
 
     @contextmanager
     def recovery_beside(self) -> Iterator[RecoveryPlan | None]:
-        """Return the recovery with a pilot in a second process, for a bench in real time; None without recovery."""
+        """Yield the recovery with a pilot in a second process, for a bench in real time; None without recovery."""
         if self.recovery is None:
             yield None
             return
@@ -252,14 +261,14 @@ class Assembly:
             progress: receiver of progress reports.
         """
         recovery, fallback = recovery or self.recovery, self.fallback
-        falls = None if recovery is None else FallRecovery(recovery, self.controller, until=until)
+        fall_recovery = None if recovery is None else FallRecovery(recovery, self.controller, until=until)
         return ControlLoop(
             self.ticker(), limits=self.limits, sink=sink or LoopSink(), rate_noise=rate_noise, fallback=fallback,
-            recovery=falls, keep=keep, progress=progress,
+            recovery=fall_recovery, keep=keep, progress=progress,
         )  # fmt: skip
 
     def draw(self, *, seed: int | None = None, mismatch: float | None = None) -> BenchDraw:
-        """Return a draw for one run.
+        """Draw plant, errors and disturbances of one run, with the ticks of this assembly's controller.
 
         Args:
             seed: seed of the random numbers, by default that of the settings.
@@ -278,7 +287,7 @@ class Assembly:
         keep: bool = True,
         progress: Progress = no_progress,
     ) -> LoopResult:
-        """Track the reference on a simulated bench whose controller models these arms.
+        """Run the loop on a simulated bench, whose plant is drawn about the model's arms, and return the result.
 
         Args:
             draw: draw of the run, by default that of the settings.
@@ -313,64 +322,66 @@ class Assembly:
 
     @property
     def lockstep(self) -> bool:
-        """True if runs can be computed side by side."""
-        many = hasattr(self.controller, "schedule") or hasattr(self.controller, "begin_many")
-        return self.settings.lockstep and many
+        """True if runs can be computed in lockstep: settings and law must support it."""
+        law_supports_it = hasattr(self.controller, "schedule") or hasattr(self.controller, "begin_many")
+        return self.settings.lockstep and law_supports_it
 
     def batch(self, seeds: Sequence[int], *, mismatches: Sequence[float] | None = None) -> list[BatchRun]:
-        """Run the seeds side by side and return their results in order, up to a departure from the itinerary.
+        """Run the seeds in lockstep and return their results in order, each up to a departure from the itinerary.
 
         Args:
             seeds: one seed per run.
             mismatches: one mismatch per run, default that of the settings.
         """
         # Only full vectors of the processor are used. Partial ones round differently and would affect the other runs.
-        own = [self.settings.mismatch] * len(seeds) if mismatches is None else mismatches
-        lanes = [*zip(seeds, own, strict=True)]
-        lanes += [lanes[-1]] * (-len(lanes) % VECTOR)
-        draws = [self.draw(seed=seed, mismatch=mismatch) for seed, mismatch in lanes]
-        ticker = self.ticker(runs=len(lanes))
+        run_mismatches = [self.settings.mismatch] * len(seeds) if mismatches is None else mismatches
+        seeds_and_mismatches = [*zip(seeds, run_mismatches, strict=True)]
+        seeds_and_mismatches += [seeds_and_mismatches[-1]] * (-len(seeds_and_mismatches) % VECTOR)
+        draws = [self.draw(seed=seed, mismatch=mismatch) for seed, mismatch in seeds_and_mismatches]
+        ticker = self.ticker(runs=len(seeds_and_mismatches))
         bench = BatchBench(
             draws, self.settings.bench, limits=self.limits, start=self.controller.first_state,
             queued=list(ticker.queued), lanes=MANY,
         )  # fmt: skip
-        departures = Departures(self.recovery, len(lanes)) if self.recovery is not None else None
+        departures = Departures(self.recovery, len(seeds_and_mismatches)) if self.recovery is not None else None
         return Lockstep(ticker, bench, draws, departures).run()[: len(seeds)]
 
     def margins(self) -> Margins:
-        """Return the margins of gain, delay and lag along the reference.
+        """Return the margins of this loop along the reference: changes of gain, delay and lag that make it unstable.
 
-        Delay and lag are those beyond the assumed ones.
-
-        The plant has the parameters of the model. Any filter other than the extended one is replaced by it, with the
-        same settings.
+        Delay and lag are those beyond the assumed ones. The plant has the parameters of the model. Any filter other
+        than the extended one is replaced by it, with the same settings.
 
         Raises:
             InputError: the law goes by phase or by pulses, or the reference belongs to other arms.
             GoalMissed: no controller exists.
         """
         # The plant has the parameters of the model, also instead of a user's plant.
-        settings = replace(self.settings, travel=0.0, plant=None)
+        settings = replace(self.settings, plant=None)
         if isinstance(settings.controller, OwnLaw) or isinstance(settings.estimator, OwnEstimator):
             raise InputError("margins need symbolic equations, which Python objects do not provide; remove the object")
         if not isinstance(settings.estimator, EkfSettings):
-            known = {f.name: getattr(settings.estimator, f.name) for f in fields(FilterSettings) if f.name != "kind"}
-            settings = replace(settings, estimator=EkfSettings(**known))
+            filter_settings = {
+                setting.name: getattr(settings.estimator, setting.name)
+                for setting in fields(FilterSettings)
+                if setting.name != "kind"
+            }
+            settings = replace(settings, estimator=EkfSettings(**filter_settings))
         # To first order, a known belt with its input shaping is a lag, and play has no effect.
         unshaped = replace(settings.mechanics, known_belt=0.0, known_play=0.0)
         settings = replace(settings, drive_lag=settings.known_lag, mechanics=unshaped)
         law: Any = self.controller
-        held = replace(law, ticks=round(_HELD * settings.rate)) if isinstance(law, HoldController) else law
-        schedule = schedule_of(held, whole_periods(self.delay)[1])
+        law_or_hold = replace(law, ticks=round(_HELD * settings.rate)) if isinstance(law, HoldController) else law
+        schedule = schedule_of(law_or_hold, whole_periods(self.delay)[1])
         if schedule is None:
             raise InputError(
                 f'controller: kind = "{law.kind}" goes by phase or by pulses, and margins are simulated by the clock; '
                 "vary the drive in a campaign instead: `campaign NAME --over lag=0,0.01`"
             )
-        nominal = replace(self, settings=replace(settings, travel=self.settings.travel), law=held)
+        nominal = replace(self, settings=settings, law=law_or_hold)
         plant = sampled_model(self.arms, settings.rate, settings.known_lag)
-        own = settings.sensors
-        sensors = SensorSettings(counts=own.counts, cart_resolution=own.cart_resolution)
+        bench_sensors = settings.sensors
+        sensors = SensorSettings(counts=bench_sensors.counts, cart_resolution=bench_sensors.cart_resolution)
         encoders = Encoders(self.arms.count, sensors, lanes=MANY)
         loop = NominalLoop(
             plant, lambda n: nominal.ticker(runs=n).program, lambda states: encoders.measure([*states]), schedule,

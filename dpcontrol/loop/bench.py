@@ -141,7 +141,7 @@ class SensorSettings(Settings, table="sensors"):
     ] = 0.0
 
     def _check_together(self) -> None:
-        """Check that an encoder which loses counts has counts."""
+        """Raise an `InputError` for encoders that lose counts but have none."""
         if self.missed_counts and not np.all(self.counts):
             raise InputError(
                 f"sensors: missed_counts = {self.missed_counts!r} with counts = 0: an encoder without counts cannot "
@@ -157,12 +157,11 @@ class SensorSettings(Settings, table="sensors"):
         return tuple(2 * np.pi / counts if counts else 0.0 for counts in self.of_each("counts", arms))
 
     def covariance(self, arms: int) -> Array:
-        """Return the covariance (n+1, n+1) of the measured positions.
+        """Return the covariance (n+1, n+1) of the measured positions for the filter, rad² and m².
 
-        Rounding of q²/12 plus noise.
-
-        cov(angle_i, angle_j) is the sum of q_k²/12 + noise² over k ≤ min(i, j). Ideal sensors get the steps
-        `_FINEST_ANGLE` and `_FINEST_CART`, because a filter needs a positive covariance.
+        It is that of rounding, q²/12 for a step q, and of noise. cov(angle_i, angle_j) is the sum of q_k²/12 + noise²
+        over k ≤ min(i, j). Ideal sensors get the steps `_FINEST_ANGLE` and `_FINEST_CART`, because a filter needs a
+        positive covariance.
 
         Args:
             arms: number n of arms.
@@ -171,10 +170,10 @@ class SensorSettings(Settings, table="sensors"):
         steps[steps == 0] = 0.0 if self.noise else _FINEST_ANGLE
         cart = self.cart_resolution or (0.0 if self.cart_noise else _FINEST_CART)
         index = np.arange(arms)
-        out = np.zeros((arms + 1, arms + 1))
-        out[:arms, :arms] = np.cumsum(steps**2 / 12 + self.noise**2)[np.minimum.outer(index, index)]
-        out[arms, arms] = cart**2 / 12 + self.cart_noise**2
-        return out
+        covariance = np.zeros((arms + 1, arms + 1))
+        covariance[:arms, :arms] = np.cumsum(steps**2 / 12 + self.noise**2)[np.minimum.outer(index, index)]
+        covariance[arms, arms] = cart**2 / 12 + self.cart_noise**2
+        return covariance
 
 
 @dataclass(frozen=True)
@@ -268,11 +267,12 @@ class DriveSettings(Settings, table="drive"):
     failure: Annotated[str, Setting(choices=FAILURES, help="Fault of the drive from failed_at on.")] = "off"
 
     def _check_together(self) -> None:
+        """Raise an `InputError` for a failure without a time."""
         if self.failure != "off" and self.failed_at == math.inf:
             raise self.refusal("failure", "needs a time; give failed_at in s, such as failed_at = 0")
 
     def limits(self, limits: Limits) -> Limits:
-        """Return the bounds of the drive.
+        """Return the bounds of the drive and its track, with 0 for no bound on jerk.
 
         Args:
             limits: bounds of the itinerary, which apply where the drive has none.
@@ -285,15 +285,15 @@ class DriveSettings(Settings, table="drive"):
         )
 
     def within(self, limits: Limits, period: float, *, clip: Clip) -> DriveLimits:
-        """Return the drive's bounds on successive demands.
+        """Return the drive's bounds on successive demands, which the simulated drive applies in each period.
 
         Args:
             limits: bounds of the itinerary, which apply where the drive has none.
             period: time between demands, s.
             clip: function that clips one number, or those of several runs.
         """
-        own = self.limits(limits)
-        return DriveLimits(float(own.acceleration), float(own.velocity), self.jerk * period, self.response, clip)
+        bounds = self.limits(limits)
+        return DriveLimits(float(bounds.acceleration), float(bounds.velocity), self.jerk * period, self.response, clip)
 
 
 @dataclass(frozen=True)
@@ -469,23 +469,23 @@ class MechanicsSettings(Settings, table="mechanics"):
         return super().of_each("play" if getattr(self, name) == math.inf else name, arms)
 
     def components(self, arms: int, offsets: Array) -> tuple[SymbolicPlant, ...]:
-        """Return the components of a plant.
+        """Return the components of a plant that these settings switch on, such as an elastic belt or play.
 
         Args:
             arms: number n of arms.
             offsets: encoder positions (n,) in their play, -0.5 to 0.5.
         """
-        found: list[SymbolicPlant] = []
+        components: list[SymbolicPlant] = []
         play, stiction = self.of_each("play", arms), self.of_each("stiction", arms)
         if self.belt:
-            found.append(Belt(self.belt, self.belt_damping, motor_scale=self.belt_scale == "motor"))
+            components.append(Belt(self.belt, self.belt_damping, motor_scale=self.belt_scale == "motor"))
         if any(play):
-            found.append(EncoderPlay(play, tuple((offsets * play).tolist())))
+            components.append(EncoderPlay(play, tuple((offsets * play).tolist())))
         if self.cable_torque or self.cable_stiffness:
-            found.append(Cable(self.cable_torque, self.cable_stiffness))
+            components.append(Cable(self.cable_torque, self.cable_stiffness))
         if any(stiction):
-            found.append(Stiction(stiction, tuple(self.kinetic * torque for torque in stiction)))
-        return tuple(found)
+            components.append(Stiction(stiction, tuple(self.kinetic * torque for torque in stiction)))
+        return tuple(components)
 
 
 @dataclass(frozen=True)
@@ -498,7 +498,7 @@ class BenchSettings:
     mechanics: MechanicsSettings = field(default_factory=MechanicsSettings)
 
     def plant(self, arms: ArmChainParameters, offsets: Array) -> PlantParameters:
-        """Return these arms on this drive and track.
+        """Return the parameters of a plant with these arms, on this drive and track.
 
         Args:
             arms: parameters of the n arms.
@@ -522,9 +522,12 @@ _STREAMS = ("plant", "initial_error", "zero_errors", "command_noise", "ages", "d
 
 @dataclass(frozen=True, eq=False)
 class Blow:
-    """Blow at one tick.
+    """Sum of the blows on one bench at one tick.
 
-    Impulses (n,) N m s, jumps (n,) rad/s, knock m/s.
+    Attributes:
+        impulses: angular impulses (n,) on the arms, N m s.
+        jumps: jumps (n,) of the arms' rates, rad/s.
+        knock: jump of the cart's velocity, m/s.
     """
 
     impulses: Array
@@ -533,39 +536,45 @@ class Blow:
 
 
 _BLOCK = 1 << 14
-"""Ticks drawn at once."""
+"""Number of ticks for which random numbers are drawn at once."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stream(Brief):
-    """Random numbers for each tick of a run.
+    """Source of the random numbers of one use, such as noise of the sensors, for each tick of a run.
 
-    `make` turns a generator and a count into an array (count, …).
-
-    Successive blocks hold the numbers of one long draw.
+    `make` turns a generator and a count into an array (count, …). Successive blocks hold the numbers of one long draw,
+    so a run of any length gets the same numbers.
     """
 
     seed: np.random.SeedSequence
     make: Callable[[np.random.Generator, int], NDArray[Any]]
     begin: int = 0
-    """Ticks before the first."""
+    """Number of ticks whose numbers are skipped at the start."""
 
 
 class StreamReader:
-    """Returns a stream tick by tick, `reader[k]`, in order and without end.
+    """Returns the numbers of a stream tick by tick, `reader[k]`, in order and without end.
 
     It stores one block.
+
+    Args:
+        stream: stream to read.
+        rows: conversion of a block (count, …) into a sequence with one entry per tick.
+        block: number of ticks drawn at once.
     """
 
     def __init__(self, stream: Stream, rows: Callable[[NDArray[Any]], Any], *, block: int) -> None:
+        """Skip the numbers before the stream's first tick; they must be drawn, to advance the generator."""
         self._random, self._make, self._rows = np.random.default_rng(stream.seed), stream.make, rows
-        self._block, self._first, self._end, left = block, 0, 0, stream.begin
+        self._block, self._first, self._end, skipped = block, 0, 0, stream.begin
         self._values: Any = ()
-        while left:
-            self._make(self._random, min(left, _BLOCK))
-            left -= min(left, _BLOCK)
+        while skipped:
+            self._make(self._random, min(skipped, _BLOCK))
+            skipped -= min(skipped, _BLOCK)
 
     def __getitem__(self, tick: int) -> Any:
+        """Return the numbers of a tick, which must belong to the present block or to a later one."""
         while tick >= self._end:
             self._values = self._rows(self._make(self._random, self._block))
             self._first, self._end = self._end, self._end + self._block
@@ -625,7 +634,7 @@ class BenchDraw(Brief):
         return stream.make(np.random.default_rng(stream.seed), stream.begin + self.ticks)[stream.begin :]
 
     def reader(self, name: str, rows: Callable[[NDArray[Any]], Any] = np.ndarray.tolist) -> StreamReader | None:
-        """Return a reader of a stream, or None if it is unused.
+        """Return a reader of a stream for a run that is computed tick by tick, or None if the stream is unused.
 
         Args:
             name: name of the stream in `streams`.
@@ -635,7 +644,9 @@ class BenchDraw(Brief):
         return None if stream is None else StreamReader(stream, rows, block=min(max(self.ticks, 1), _BLOCK))
 
     def endless(self, *, since: int = 0) -> "BenchDraw":
-        """Return the draw for a run of any length.
+        """Return the draw for a run of any length, which may begin later in this draw.
+
+        A run that recovers from falls has no fixed number of ticks.
 
         Args:
             since: first tick of the run in this draw, default 0.
@@ -649,16 +660,18 @@ class BenchDraw(Brief):
 
 
 _ENDLESS = 1 << 60
+"""Number of ticks that no run reaches."""
 
 
 @dataclass(frozen=True)
 class Unlike:
-    """Differences of the plant from the model.
+    """Differences of the plant from the model, which `draw_bench` draws.
 
     Attributes:
         mismatch: relative errors of its parameters.
         model_uncertainty: factor on the standard errors of the model's `uncertainty`, for additional errors; 0 for
             none.
+        uncertainty: standard errors of the model's parameters, None if unknown.
         initial_error: bound of each uniform initial angle error, rad.
         friction: factor on the friction of the drawn plant.
         plant: arms that replace the model's as the centre of the draw.
@@ -684,10 +697,14 @@ def draw_bench(
     period: float,
     unlike: Unlike = _ALIKE,
 ) -> BenchDraw:
-    """Draw the bench of a run with these arms as the model.
+    """Draw plant, initial errors, sensor errors, noise and blows of one run from its seed.
+
+    Each use of random numbers has its own generator, by the names of `_STREAMS`. Numbers for each tick become streams
+    of the draw, if the settings need them; `normal` stores Gaussian ones. `within` draws one uniform number for each
+    arm.
 
     Args:
-        arms: the model's arms.
+        arms: arms of the model, which are the centre of the draw.
         settings: settings of the bench.
         seed: seed of the random numbers.
         ticks: number of ticks.
@@ -699,38 +716,38 @@ def draw_bench(
         GoalMissed: no arms near the model's have the drawn ratios.
     """
     n, sensors, drive = arms.count, settings.sensors, settings.drive
-    children: dict[str, np.random.SeedSequence] = dict(
+    seeds: dict[str, np.random.SeedSequence] = dict(
         zip(_STREAMS, np.random.SeedSequence(seed).spawn(len(_STREAMS)), strict=True)
     )
 
-    def random(name: str) -> np.random.Generator:
-        return np.random.default_rng(children[name])
+    def generator(name: str) -> np.random.Generator:
+        return np.random.default_rng(seeds[name])
 
     # Unused values are not drawn: making a generator takes longer than most draws.
     streams: dict[str, Stream] = {}
 
     def stream(name: str, make: Callable[[np.random.Generator, int], NDArray[Any]], wanted: Any) -> None:
         if wanted:
-            streams[name] = Stream(children[name], make)
+            streams[name] = Stream(seeds[name], make)
 
     def normal(name: str, sigmas: Array) -> None:
         stream(name, lambda source, count: source.standard_normal((count, len(sigmas))) * sigmas, sigmas.any())
 
     def within(name: str, most: float) -> Array:
-        return random(name).uniform(-most, most, n) if most else np.zeros(n)
+        return generator(name).uniform(-most, most, n) if most else np.zeros(n)
 
-    lost, noisy = sensors.missed_counts * period, drive.command_noise
-    stream("command_noise", lambda source, count: source.standard_normal(count) * noisy, noisy)
+    loss, noise = sensors.missed_counts * period, drive.command_noise
+    stream("command_noise", lambda source, count: source.standard_normal(count) * noise, noise)
     stream("ages", lambda source, count: source.uniform(0.0, sensors.jitter, count), sensors.jitter)
     stream("dropped", lambda source, count: source.uniform(size=count) < sensors.dropout, sensors.dropout)
     # Whole counts with the right mean: the integer part, plus one with the probability of the rest.
-    stream("missed", lambda source, count: np.floor(source.uniform(size=(count, n)) + lost).astype(np.int64), lost)
+    stream("missed", lambda source, count: np.floor(source.uniform(size=(count, n)) + loss).astype(np.int64), loss)
     normal("noise", np.array([*[sensors.noise] * n, sensors.cart_noise]))
     normal("rate_noise", np.full(n, sensors.rate_noise))
-    likely = unlike.plant or arms
+    centre = unlike.plant or arms
     if unlike.model_uncertainty and unlike.uncertainty is not None:
-        likely = unlike.uncertainty.drawn(arms, random("model"), scale=unlike.model_uncertainty)
-    true_arms = likely.mismatched(unlike.mismatch, random("plant"))
+        centre = unlike.uncertainty.drawn(arms, generator("model"), scale=unlike.model_uncertainty)
+    true_arms = centre.mismatched(unlike.mismatch, generator("plant"))
     if unlike.friction != 1.0:
         true_arms = true_arms.with_friction(unlike.friction)
     return BenchDraw(
@@ -745,39 +762,53 @@ def draw_bench(
         zeros=within("zero_errors", sensors.zero_error),
         drift=np.copysign(sensors.zero_drift / 3600, within("zero_drift", sensors.zero_drift)),
         streams=streams,
-        blows=_blows(settings.disturbances, n, (ticks, period), random),
-        random_blows=lambda: _random_blows(settings.disturbances, n, period, random("random_blows")),
+        blows=_blows(settings.disturbances, n, (ticks, period), generator),
+        random_blows=lambda: _random_blows(settings.disturbances, n, period, generator("random_blows")),
     )  # fmt: skip
 
 
 def _random_blows(
     settings: DisturbanceSettings, arms: int, period: float, random: np.random.Generator
 ) -> Iterator[tuple[int, Blow]]:
-    """Yield blows on arms at random times, in order, or none."""
-    now = 0.0
+    """Yield blows on random arms with their ticks, in order and without end; none without such blows.
+
+    Their times are a Poisson process with the rate `knocks_per_minute`.
+    """
+    time_s = 0.0
     while settings.knocks_per_minute and settings.knock_impulse:
-        now += random.exponential(60 / settings.knocks_per_minute)
+        time_s += random.exponential(60 / settings.knocks_per_minute)
         impulses = np.zeros(arms)
         impulses[random.integers(arms)] = random.uniform(-settings.knock_impulse, settings.knock_impulse)
-        yield int(now / period), Blow(impulses, np.zeros(arms), 0.0)
+        yield int(time_s / period), Blow(impulses, np.zeros(arms), 0.0)
 
 
 def _blows(
     settings: DisturbanceSettings, arms: int, clock: tuple[int, float], random: Callable[[str], np.random.Generator]
 ) -> dict[int, Blow]:
-    """Return the blows of a run by tick, for a clock of so many ticks and this period, s."""
+    """Return the settings' fixed number of random blows and explicit blows by tick; those of one tick are added.
+
+    Args:
+        settings: number and size of the blows.
+        arms: number n of arms.
+        clock: number of ticks of the run, and its period, s.
+        random: generator for each of `_STREAMS`.
+    """
     ticks, period = clock
     strokes: list[tuple[int, int, float, float, float]] = []
-    for when, which, size in random("pushes").uniform(size=(settings.pushes, 3)).tolist() if settings.pushes else ():
-        strokes.append((int(when * ticks), int(which * arms), (2 * size - 1) * settings.push_impulse, 0.0, 0.0))
-    for when, size in random("knocks").uniform(size=(settings.knocks, 2)).tolist() if settings.knocks else ():
-        strokes.append((int(when * ticks), 0, 0.0, 0.0, (2 * size - 1) * settings.knock_velocity))
+    for share, arm_share, size_share in (
+        random("pushes").uniform(size=(settings.pushes, 3)).tolist() if settings.pushes else ()
+    ):
+        strokes.append(
+            (int(share * ticks), int(arm_share * arms), (2 * size_share - 1) * settings.push_impulse, 0.0, 0.0)
+        )
+    for share, size_share in random("knocks").uniform(size=(settings.knocks, 2)).tolist() if settings.knocks else ():
+        strokes.append((int(share * ticks), 0, 0.0, 0.0, (2 * size_share - 1) * settings.knock_velocity))
     strokes += [
         (round(push.time / period), push.arm, push.impulse, push.rate, push.knock) for push in settings.explicit
     ]
-    out: dict[int, Blow] = {}
+    blows: dict[int, Blow] = {}
     for tick, arm, impulse, rate, knock in strokes:
-        before = out.get(tick) or Blow(np.zeros(arms), np.zeros(arms), 0.0)
-        one = np.eye(arms)[arm]
-        out[tick] = Blow(before.impulses + impulse * one, before.jumps + rate * one, before.knock + knock)
-    return out
+        blow = blows.get(tick) or Blow(np.zeros(arms), np.zeros(arms), 0.0)
+        unit_vector = np.eye(arms)[arm]
+        blows[tick] = Blow(blow.impulses + impulse * unit_vector, blow.jumps + rate * unit_vector, blow.knock + knock)
+    return blows

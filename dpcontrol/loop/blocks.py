@@ -21,15 +21,23 @@ BLOCK = 50
 
 
 class Blocks:
-    """The ticks of a simulated run, computed in blocks.
+    """The ticks of a simulated run, computed in blocks of up to `BLOCK` ticks.
+
+    Each block is an array whose rows hold inputs and outputs of one tick, so that machine code passes numbers from row
+    to row.
 
     Args:
         ticker: the run's controller and filter, which compute a whole tick in one call.
-        rig: the bench, of a `kind`.
+        rig: the bench, whose period is one expression (`SimulatedRig.kind`).
         noise: noise on the rates of the law, if any.
     """
 
     def __init__(self, ticker: Ticker, rig: SimulatedRig, noise: StreamReader | None) -> None:
+        """Allocate the rows of a block, and bind the machine code of each tick to its rows.
+
+        A row of the controller's tick holds reading, table, constants and memory as inputs, and memory and report as
+        outputs.
+        """
         kind, program, tick = rig.kind, ticker.program, ticker.program.equations
         assert kind is not None
         self._ticker, self._rig, self._noise, self._kind = ticker, rig, noise, kind
@@ -52,18 +60,35 @@ class Blocks:
         self._calls = [self._call(k, sum(sizes[:4]), sum(sizes[:3])) for k in range(BLOCK)]
 
     def _call(self, k: int, inputs: int, outputs: int) -> tuple[Any, ...]:
-        """Return the arguments and calls of the k-th tick of a block."""
+        """Return the buffers and calls that compute the k-th tick of a block.
+
+        Args:
+            k: index of the tick in the block.
+            inputs: number of entries of a row that a tick reads.
+            outputs: first entry of the next row that a tick writes.
+
+        Returns:
+            Input and output of the plant's step, the call of the sensors, input and output of the controller's tick,
+                and the call of the drive.
+        """
         kind, rig, reading, state = self._kind, self._rig, self._reading, self._state
         sensors, drive = sensors_and_drive(kind, self._ticks.shape[2])
         # Row -1 has the reading before the block.
-        measured = [state[k + 1], self._zeros[k], self._position_noise[k], rig.steps, rig.drive_numbers]
-        measured += [reading.present[k], reading.measured[k - 1]]
+        sensor_inputs = [state[k + 1], self._zeros[k], self._position_noise[k], rig.steps, rig.drive_numbers]
+        sensor_inputs += [reading.present[k], reading.measured[k - 1]]
         command = self._report[k + 1, self._ticker.program.equations.report.slices.command]
-        demanded = [command, self._command_noise[k], self._demands[k], state[k + 1], rig.drive_numbers]
-        sense, *first = bound(sensors, measured, [reading.measured[k]])
-        act, *second = bound(drive, demanded, [self._demands[k + 1], self._acting[k + 1]])
-        self._alive += [*first, *second]
-        return self._steps[k], state[k + 1], sense, self._ticks[k, :inputs], self._ticks[k + 1, outputs:], act
+        drive_inputs = [command, self._command_noise[k], self._demands[k], state[k + 1], rig.drive_numbers]
+        read_sensors, *sensor_buffers = bound(sensors, sensor_inputs, [reading.measured[k]])
+        drive_call, *drive_buffers = bound(drive, drive_inputs, [self._demands[k + 1], self._acting[k + 1]])
+        self._alive += [*sensor_buffers, *drive_buffers]
+        return (
+            self._steps[k],
+            state[k + 1],
+            read_sensors,
+            self._ticks[k, :inputs],
+            self._ticks[k + 1, outputs:],
+            drive_call,
+        )
 
     def run(self, k: int, most: int, into: Ticks, first: int) -> int:
         """Compute ticks from k on, up to one with an outcome or news, and return their number.
@@ -73,62 +98,76 @@ class Blocks:
         Args:
             k: the first tick.
             most: largest number of ticks.
-            into: rows of the ticks.
-            first: tick of its first row.
+            into: rows of the run's ticks, to which the results are written.
+            first: tick of the first of these rows.
         """
         count = self._rig.plain_ticks(k, min(most, BLOCK - k % BLOCK)) if self._ticker.whole else 0
         if count:
             self._fill(k, count)
             move, tick = self._kind.step.single.__call__, self._ticker.program.whole_tick.__call__
-            for begin, end, sense, given, out, act in self._calls[:count]:
-                move(begin, end)
-                sense()
-                tick(given, out)
-                act()
+            for plant_inputs, plant_state, read_sensors, tick_inputs, tick_outputs, drive in self._calls[:count]:
+                move(plant_inputs, plant_state)
+                read_sensors()
+                tick(tick_inputs, tick_outputs)
+                drive()
             count = self._sound(count)
         if count:
             self._take(k, count, into, slice(k - first, k - first + count))
         return count
 
     def _fill(self, k: int, count: int) -> None:
-        """Write the inputs of ticks from k on."""
+        """Write the inputs of `count` ticks from tick k on: the state before them, gains and random numbers."""
         rig, program, reading = self._rig, self._ticker.program, self._reading
         self._memory[0] = program.stored
         if not np.array_equal(program.constants, self._numbers[0, :, 0]):
             self._numbers[:] = program.constants[:, None]
-        state, self._demands[0], last, self._acting[0] = rig.stored
-        self._state[0], reading.measured[-1] = state[:, None], last[:, None]
+        state, self._demands[0], last_reading, self._acting[0] = rig.stored
+        self._state[0], reading.measured[-1] = state[:, None], last_reading[:, None]
         self._ticker.rows_of(k, count, self._row)
         if rig.draws:
-            drawn = rig.drawn(k, count)
-            self._command_noise[:count, 0], self._position_noise[:count], self._zeros[:count], dropped = drawn
+            random_numbers = rig.drawn(k, count)
+            self._command_noise[:count, 0], self._position_noise[:count], self._zeros[:count], dropped = random_numbers
             reading.present[:count] = ~dropped[:, None, None] & self._measured
         if self._noise is not None:
             reading.rate_error[:count] = [self._noise[k + i] for i in range(count)]
 
     def _sound(self, count: int) -> int:
-        """Return the number of ticks that need nothing else, up to the first one with an outcome or news."""
-        told = self._told
-        sound = self._rig.plain_states(self._state[1 : count + 1, :, 0]) & np.isfinite(told.command[:count, 0])
-        if not sound.all():
-            count = int(sound.argmin())
-        notable = (told.notable + told.news + told.done)[:count, 0] != 0
+        """Return the number of leading ticks of a block whose results are valid.
+
+        They end before a state from which machine code cannot continue, or with the first outcome or news, on which
+        Python must act.
+        """
+        report = self._told
+        valid = self._rig.plain_states(self._state[1 : count + 1, :, 0]) & np.isfinite(report.command[:count, 0])
+        if not valid.all():
+            count = int(valid.argmin())
+        notable = (report.notable + report.news + report.done)[:count, 0] != 0
         return int(notable.argmax()) + 1 if notable.any() else count
 
     def _take(self, k: int, count: int, into: Ticks, place: slice) -> None:
-        """Write rows of ticks from k on, and hand over to rig and ticker."""
-        ticker, program, reading, done = self._ticker, self._ticker.program, self._reading, slice(1, count + 1)
+        """Write the results of a block to the run's rows, and set rig and ticker to its end.
+
+        Args:
+            k: the first tick of the block.
+            count: number of its ticks.
+            into: rows of the run's ticks.
+            place: rows of this block in them.
+        """
+        ticker, program, reading, block_rows = self._ticker, self._ticker.program, self._reading, slice(1, count + 1)
         measured = np.where(reading.present[:count, :, 0] > 0, reading.measured[:count, :, 0], np.nan)
         references = ticker.references[k - ticker.began :][:count]
-        into.take_block(place, measured, self._report[done, :, 0], self._state[done, :, 0], references)
+        into.take_block(place, measured, self._report[block_rows, :, 0], self._state[block_rows, :, 0], references)
         program.resume(self._ticks[count - 1], self._report[count], self._memory[count])
         ticker.take_carts(k, measured[:, -1])
-        last = self._state[count, :, 0], self._demands[count], reading.measured[count - 1, :, 0]
-        self._rig.resume(k + count - 1, *last, hardest=float(np.abs(self._acting[:count, 0, 0]).max()))
+        bench_end = self._state[count, :, 0], self._demands[count], reading.measured[count - 1, :, 0]
+        self._rig.resume(k + count - 1, *bench_end, hardest=float(np.abs(self._acting[:count, 0, 0]).max()))
 
 
 def blocks_of(ticker: Ticker, rig: Any, noise: StreamReader | None) -> Blocks | None:
-    """Return the blocks of a run on this rig, or None if its ticks need Python.
+    """Return the blocks for a run on this rig, which make it faster, or None if its ticks need Python.
+
+    Python is needed by rigs other than `SimulatedRig`, by benches without a `kind`, by laws with an internal clock, and
+    by users' objects.
 
     Args:
         ticker: controller and filter of the run.
@@ -136,5 +175,5 @@ def blocks_of(ticker: Ticker, rig: Any, noise: StreamReader | None) -> Blocks | 
         noise: noise on the rates of the law, if any.
     """
     # A subclass can replace any part of a tick.
-    simple = type(rig) is SimulatedRig and rig.kind is not None and ticker.whole and not ticker.watched
-    return Blocks(ticker, rig, noise) if simple else None
+    is_compiled = type(rig) is SimulatedRig and rig.kind is not None and ticker.whole and not ticker.watched
+    return Blocks(ticker, rig, noise) if is_compiled else None

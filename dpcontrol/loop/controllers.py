@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 
 class Filter(NamedTuple):
-    """A kind of estimator: its settings and its factory.
+    """A kind of estimator: its settings, and the function that makes it from settings, model and noise (n+1, n+1).
 
     A symbolic estimator is compiled into the tick and can be exported to C.
     """
@@ -64,7 +64,7 @@ class Filter(NamedTuple):
 
 
 def _ukf(settings: Any, model: SampledModel, noise: Array) -> Estimator:
-    """Return the unscented filter."""
+    """Return the unscented filter for a model and covariance `noise` (n+1, n+1) of the measured positions."""
 
     # filterpy takes a second to import.
     from dpcontrol.control.ukf import Ukf
@@ -83,16 +83,19 @@ ESTIMATORS: dict[str, type[EstimatorSettings]] = {one.settings.kind: one.setting
 
 
 def filter_of(settings: EstimatorSettings | OwnEstimator) -> Filter:
-    """Return the kind of estimator of these settings.
+    """Return the kind of estimator, one of `FILTERS`, to which these settings belong.
 
     Args:
         settings: settings of an estimator, built in or a user's.
     """
-    return next(one for one in FILTERS if isinstance(settings, one.settings))
+    return next(kind for kind in FILTERS if isinstance(settings, kind.settings))
 
 
 def filter_defaults(kind: str, law: "ControllerSettings", keep: str = "none") -> Mapping[str, Any]:
-    """Return the settings in which the estimator of a law differs from the defaults of its kind.
+    """Return the estimator's settings that suit a law and differ from the defaults of its kind.
+
+    An itinerary that does not give these settings gets them, for example the estimates of parameters that an adaptive
+    law uses.
 
     Args:
         kind: kind of the estimator, one of `ESTIMATORS`.
@@ -122,6 +125,8 @@ KEEPERS = ("none", "ogy", "ogy-classic", "tvlqr")
 def keeps_by_phase(keep: str, estimator: FilterSettings | EstimatorSettings | OwnEstimator) -> bool:
     """Return True if laws with internal timing keep the stops, and not gains by time with the estimated arms.
 
+    Gains by time can be tabulated, compiled and resumed after a fall.
+
     Args:
         keep: law that keeps the stops, one of `KEEPERS`.
         estimator: settings of the estimator.
@@ -133,7 +138,7 @@ def keeps_by_phase(keep: str, estimator: FilterSettings | EstimatorSettings | Ow
 def keeping_controller(
     reference: Reference, parameters: ArmChainParameters, model: SampledModel, *, flies: TvlqrSettings, keep: str
 ) -> Program:
-    """Return the program that keeps the stays of a reference.
+    """Return the program of laws for a reference with stays: one keeps each stay, another follows each flight.
 
     Args:
         reference: reference that was planned with stays.
@@ -152,24 +157,31 @@ def keeping_controller(
             "[controller] of an itinerary that is a walk"
         )
     # The next stay holds the end of a flight, so no terminal weight is needed.
-    open_ended = replace(flies, closing=1.0)
+    flight_settings = replace(flies, closing=1.0)
     keepers: dict[str, OgyController | OrbitController] = {}
     stays, flights = list[Keep](), list[Fly]()
     for entry in reference.content.segments:
         if isinstance(entry, FlightSegment):
-            flights.append(Fly(entry.fly, tracking_controller(_part(reference, entry.rows), model, open_ended)))
+            flights.append(Fly(entry.fly, tracking_controller(_part(reference, entry.rows), model, flight_settings)))
             continue
-        name = _orbit_name(entry.keep, entry.energy)
-        if name not in keepers:
-            keepers[name] = _keeper(kept_orbit(reference, entry, parameters), model, keep=keep, flies=flies)
-        stays.append(Keep(f"stay {len(stays) + 1}, {name}", keepers[name], wraps=entry.periods))
+        orbit_name = _orbit_name(entry.keep, entry.energy)
+        if orbit_name not in keepers:
+            keepers[orbit_name] = _keeper(kept_orbit(reference, entry, parameters), model, keep=keep, flies=flies)
+        stays.append(Keep(f"stay {len(stays) + 1}, {orbit_name}", keepers[orbit_name], wraps=entry.periods))
     return program(stays, flights, period=model.period, kind=f"{flies.kind}, stays by {keep}")
 
 
 def _keeper(
     orbit: "SustainedOrbit", model: SampledModel, *, keep: str, flies: TvlqrSettings
 ) -> OgyController | OrbitController:
-    """Return the controller that keeps an orbit by these means."""
+    """Return the controller that keeps a sustained orbit at a stop, or as a fallback.
+
+    Args:
+        orbit: orbit to keep.
+        model: model of arms and drive from tick to tick.
+        keep: law that keeps it, one of `KEEPERS` except "none".
+        flies: settings of the law between the stops, whose weights "tvlqr" uses here too.
+    """
     if keep == "tvlqr":
         return orbit_controller(orbit, model, replace(flies, schedule="phase"), seconds=orbit.period)
     settings = OgySettings() if keep == "ogy" else ClassicOgySettings()
@@ -177,46 +189,52 @@ def _keeper(
 
 
 def _orbit_name(saddle: str, energy: float) -> str:
+    """Return the name of an orbit for logs and errors, which also identifies it in this module."""
     return f"the orbit about {saddle} at {energy:g} J"
 
 
 def _part(reference: Reference, rows: tuple[int, int]) -> Reference:
+    """Return a part of a reference as a reference that begins at time 0, for a law that follows this part alone.
+
+    `rows` are the first interval of its mesh, and that after the last one.
+    """
     first, last = rows
     mesh = reference.mesh[first : last + 1] - reference.mesh[first]
     return replace(reference, mesh=mesh, states=reference.states[first:last], inputs=reference.inputs[first:last])
 
 
 def kept_orbit(reference: Reference, stay: StaySegment, parameters: ArmChainParameters) -> "SustainedOrbit":
-    """Return the sustained orbit of a stay.
+    """Return the sustained orbit of a stay, the periodic motion with friction and cart that a law keeps there.
+
+    The Lyapunov orbit is computed again, since a reference contains only the sustained motion.
 
     Args:
         reference: reference that contains the orbit.
-        stay: periods on the orbit.
+        stay: segment of the reference with the stay.
         parameters: parameters of the model's arms.
 
     Raises:
-        InputError: it is of other arms.
+        InputError: the reference is of other arms.
     """
     # Runs that keep no orbit do not import the search for sustained ones.
     from dpcontrol.references.sustained import SustainedOrbit
 
-    part = _part(reference, stay.rows)
-    period = replace(part, states=part.states - np.asarray(stay.turns))
+    stay_motion = _part(reference, stay.rows)
+    one_period = replace(stay_motion, states=stay_motion.states - np.asarray(stay.turns))
     system = pendulum_system(stay.keep, parameters)
     lyapunov = lyapunov_orbit(system, stay.keep, energy=stay.energy, family=stay.family)
     if not lyapunov.converged or not np.isclose(lyapunov.period, stay.lyapunov_period, rtol=1e-9):
         raise InputError(f"the reference stays on an orbit about {stay.keep} of other arms; plan it again")
-    return SustainedOrbit(lyapunov, parameters, period)
+    return SustainedOrbit(lyapunov, parameters, one_period)
 
 
 def nearest_keeper(
     reference: Reference, parameters: ArmChainParameters, model: SampledModel, *, flies: TvlqrSettings
 ) -> NearestKeeper:
-    """Return the laws that hold a motion after tracking is lost.
+    """Return the laws of which one takes over after tracking is lost: that of the nearest orbit or equilibrium.
 
-    They hold the reference's orbits and equilibria, and the hanging arms.
-
-    Orbits are held by feedback at every tick, at the nearest phase. No other law holds them from a larger distance.
+    They hold the reference's orbits and equilibria, and the hanging arms. Orbits are held by feedback at every tick, at
+    the nearest phase, because it holds them from the largest distance.
 
     Args:
         reference: planned reference, with the orbits of its plan.
@@ -231,36 +249,46 @@ def nearest_keeper(
     content = reference.content
     stays = {_orbit_name(stay.keep, stay.energy): stay for stay in content.stays}
     keepers: dict[str, Keeper] = {}
-    names = ["-".join(["down"] * parameters.count)]
+    equilibrium_names = ["-".join(["down"] * parameters.count)]
     for orbit in content.orbits:
         name = _orbit_name(orbit.saddle, orbit.energy)
         if np.isclose(orbit.energy, content.saddles[orbit.saddle].energy, rtol=0, atol=1e-9):
-            names.append(orbit.saddle)
+            equilibrium_names.append(orbit.saddle)
         elif name not in keepers:
-            kept = (
+            sustained = (
                 kept_orbit(reference, stays[name], parameters)
                 if name in stays
                 else _sought_orbit(orbit.saddle, orbit.energy, reference, parameters)
             )
-            keepers[name] = _keeper(kept, model, keep="tvlqr", flies=flies)
-    points = equilibria(pendulum_system("pendulum", parameters))
-    for name in dict.fromkeys(names):
-        keepers[name] = hold_controller(points[name].state, model, HoldSettings(), seconds=reference.duration)
+            keepers[name] = _keeper(sustained, model, keep="tvlqr", flies=flies)
+    all_equilibria = equilibria(pendulum_system("pendulum", parameters))
+    for name in dict.fromkeys(equilibrium_names):
+        keepers[name] = hold_controller(all_equilibria[name].state, model, HoldSettings(), seconds=reference.duration)
     return NearestKeeper(keepers)
 
 
 def _sought_orbit(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
-    """Return the sustained orbit of a saddle and an energy, which the plan does not have."""
+    """Return the sustained orbit about a saddle at an energy, as a fallback for an orbit that the plan lacks.
+
+    Args:
+        saddle: name of the saddle.
+        energy: energy of the orbit, J.
+        reference: reference of the run, whose limits the orbit must keep.
+        parameters: parameters of the model's arms.
+
+    Raises:
+        GoalMissed: the cart cannot sustain the orbit.
+    """
     from dpcontrol.references.sustained import sustained_orbit
 
     lyapunov = lyapunov_orbit(pendulum_system(saddle, parameters), saddle, energy=energy)
-    found = sustained_orbit(lyapunov, parameters, limits=reference.limits)
-    if not found.converged:
+    sustained = sustained_orbit(lyapunov, parameters, limits=reference.limits)
+    if not sustained.converged:
         raise GoalMissed(
-            f'hold = "nearest": {_orbit_name(saddle, energy)} cannot be held: {found.status}; remove hold under '
+            f'hold = "nearest": {_orbit_name(saddle, energy)} cannot be held: {sustained.status}; remove hold under '
             "[supervisor]"
         )
-    return found
+    return sustained
 
 
 _OSCILLATION = 2.5
@@ -284,7 +312,13 @@ ControllerSettings = (
 class LawInputs:
     """Arguments from which the controllers of all kinds are made.
 
-    parameters: the model's arms. estimator: for the state that it will estimate. keep: see `make_controller`.
+    Attributes:
+        reference: reference to follow.
+        parameters: parameters of the model's arms.
+        model: model of arms and drive from tick to tick.
+        settings: settings of the law.
+        estimator: settings of the filter that supplies the law's state.
+        keep: law that keeps the stops of a walk, see `make_controller`.
     """
 
     reference: Reference
@@ -296,19 +330,22 @@ class LawInputs:
 
     @property
     def stay(self) -> StaySegment | None:
-        """The only orbit that the reference keeps, or None."""
+        """The orbit on which the whole reference stays, or None for a reference that moves."""
         plan = self.reference.plan
         return plan.stays[0] if plan is not None and len(plan.segments) == 1 else None
 
 
 def _own(made: LawInputs) -> Controller:
-    own = made.settings.own
-    flown = fields_of(ReferenceController, tracking_controller(made.reference, made.model, FeedforwardSettings()))
-    return OwnController(**{**flown, "kind": own.name}, own=own, period=made.model.period)
+    """Return a user's Python law, which receives the reference's states and feedforward at each tick."""
+    user_object = made.settings.own
+    reference_fields = fields_of(
+        ReferenceController, tracking_controller(made.reference, made.model, FeedforwardSettings())
+    )
+    return OwnController(**{**reference_fields, "kind": user_object.name}, own=user_object, period=made.model.period)
 
 
 def _ogy(made: LawInputs) -> Controller:
-    """Return the law that keeps the itinerary's orbit by pulses."""
+    """Return the law that keeps the itinerary's orbit by pulses once per section of its period (OGY control)."""
     if made.stay is None:
         raise InputError(
             f'controller: kind = "{made.settings.kind}" keeps an orbit; give the itinerary orbit = "down-up"'
@@ -318,7 +355,10 @@ def _ogy(made: LawInputs) -> Controller:
 
 
 def _hold(made: LawInputs) -> Controller:
-    """Return the law that holds the itinerary's equilibrium."""
+    """Return the law that holds the itinerary's equilibrium, with gains on the estimated disturbances.
+
+    Dry friction enters as the viscous friction that dissipates as much in an oscillation of amplitude `_OSCILLATION`.
+    """
     settings, model, estimator, parameters = made.settings, made.model, made.estimator, made.parameters
     plan = made.reference.plan
     if plan is None or plan.symbols or plan.segments:
@@ -327,23 +367,25 @@ def _hold(made: LawInputs) -> Controller:
         )
     start, names = made.reference.state(0.0), extra_names(model.arms, estimator.augments)
     process = estimator.process(model.arms, model.period)
-    effects, kept = extra_jacobians(model, estimator.augments, start[None], np.zeros(1), process)
+    effects, decays = extra_jacobians(model, estimator.augments, start[None], np.zeros(1), process)
     shares = np.divide(parameters.coulomb or 0.0, damping_scales(parameters.base(), parameters.count))
     dry = min(4 / (np.pi * _OSCILLATION) * float(shares.max()), _MOST_DRY)
-    extras = ExtraEffects(names, effects[0], kept)
+    extras = ExtraEffects(names, effects[0], decays)
     return hold_controller(start, model, settings, seconds=made.reference.duration, extras=extras, dry=dry)
 
 
 def _tvlqr(made: LawInputs) -> Controller:
-    """Return the law by TVLQR that the itinerary's stays, its orbit or its walk need."""
+    """Return the law by time-varying LQR for the itinerary's stays, its only orbit, or its walk."""
     reference, parameters, model, settings = made.reference, made.parameters, made.model, made.settings
     if keeps_by_phase(made.keep, made.estimator):
         return keeping_controller(reference, parameters, model, flies=settings, keep=made.keep)
     if made.keep != "none":
         # At ±5 %, 14 of 20 runs of a walk complete with feedback by phase, and 20 with this law.
-        usual = vars(TvlqrSettings())
-        chosen = {name: value for name, value in vars(settings).items() if value != usual[name] and name != "schedule"}
-        return adaptive_controller(reference, model, AdaptiveSettings(**chosen), estimator=made.estimator)
+        defaults = vars(TvlqrSettings())
+        changed_settings = {
+            name: value for name, value in vars(settings).items() if value != defaults[name] and name != "schedule"
+        }
+        return adaptive_controller(reference, model, AdaptiveSettings(**changed_settings), estimator=made.estimator)
     if made.stay is not None:
         orbit = kept_orbit(reference, made.stay, parameters)
         return orbit_controller(orbit, model, settings, seconds=reference.duration)
@@ -377,12 +419,12 @@ CONTROLLERS: dict[str, type[ControllerSettings]] = {one.settings.kind: one.setti
 
 
 def law_of(settings: ControllerSettings) -> Law:
-    """Return the kind of controller of these settings.
+    """Return the kind of controller, one of `LAWS`, to which these settings belong.
 
     Args:
         settings: settings of a controller.
     """
-    return next(one for one in LAWS if isinstance(settings, one.settings))
+    return next(kind for kind in LAWS if isinstance(settings, kind.settings))
 
 
 def make_controller(
@@ -394,7 +436,7 @@ def make_controller(
     estimator: FilterSettings,
     keep: str = "none",
 ) -> Controller:
-    """Return the controller of `settings`.
+    """Return the controller that the settings select, for a reference and a model.
 
     Args:
         reference: reference to follow.

@@ -64,17 +64,20 @@ _PROGRESS_EVERY = 500
 EVENTS = {Cause.RESTART: "restart the estimator", Cause.RESYNCHRONISE: "re-synchronise", Cause.HOLD: "hold"}
 """Names of events in a log by the cause that does not stop the cart; all others are "stop"."""
 _THOUGHTS = 1_000_000
-"""Last ticks whose computing time is stored."""
+"""Number of last ticks whose computing time is stored for `LoopResult.thinking`."""
 _REPORT_INTERVAL = 1.0
 """Time between events on missed deadlines, s."""
 
 
 class ControlLoop:
-    """One run of a controller and an estimator on a rig.
+    """One run of a controller and an estimator on a rig, simulated or real.
 
     `run` can be called once.
 
     Attributes:
+        ticker: controller, estimator and supervisor, which decide in each tick.
+        limits: the cart's limits.
+        sink: receiver of the rows of ticks and of events, such as the writer of a log.
         rate_noise: noise (n, 1) on the controller's rates by tick, rad/s. It simulates measured rates (Wiebe et al.,
             Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024). The estimator does not receive it.
         fallback: laws that take over if the supervisor abandons the reference. Without one, the run ends or recovers.
@@ -96,6 +99,11 @@ class ControlLoop:
         keep: bool = True,
         progress: Progress = no_progress,
     ) -> None:
+        """Begin before the first tick, with no rows.
+
+        `_first` is the tick of the first row in memory, `_done` the number of completed ticks, and `_flushed` of those
+        sent to the sink.
+        """
         self.ticker, self.limits, self.sink, self.fallback, self.progress = ticker, limits, sink, fallback, progress
         self._rate_noise, self._recovery, self._keep = rate_noise, recovery, keep
         self._until = 0 if recovery is None else recovery.until
@@ -136,33 +144,43 @@ class ControlLoop:
             self._flush(self._done)
 
     def _run(self, rig: Rig) -> LoopResult:
-        """Read, decide and command until the run ends, then stop the rig and return what was logged."""
+        """Read, decide and command in each tick until the run ends, then stop the rig and return all ticks.
+
+        If `blocks_of` has blocks for this rig, ticks without events are computed in blocks, and all others one by one.
+        """
         ticker, period = self.ticker, self._period
-        block, recovery = self.count, self._recovery
+        block_size, recovery = self.count, self._recovery
         self._rows = rows = Ticks.empty(
-            block, self._arms, has_truth=rig.truth is not None, period=period, extras=len(ticker.extra_names)
+            block_size, self._arms, has_truth=rig.truth is not None, period=period, extras=len(ticker.extra_names)
         )
-        begun = {"law": ticker.kind, "estimator": ticker.estimator_kind, "ticks": self.count - 1, "rate": 1 / period}
-        self._event(0.0, "info", "start", Cause.BEGUN, begun)
+        start_figures = {
+            "law": ticker.kind,
+            "estimator": ticker.estimator_kind,
+            "ticks": self.count - 1,
+            "rate": 1 / period,
+        }
+        self._event(0.0, "info", "start", Cause.BEGUN, start_figures)
         if recovery is not None:
             self._emit_choices(0, [recovery.begin(ticker)])
-        late, quiet_until = 0, 0.0
-        take, watched, noise, logged = rows.take, ticker.watched, self._rate_noise, ticker.program.logged
+        late_ticks, quiet_until = 0, 0.0
+        write_row, has_user_parts, noise, logged = rows.take, ticker.watched, self._rate_noise, ticker.program.logged
         clock, thinking = time.perf_counter, deque[float](maxlen=_THOUGHTS)
-        thought = thinking.append
+        store_thinking = thinking.append
         began = clock()
         blocks = None if recovery is not None else blocks_of(ticker, rig, noise)
         flush_every = max(1, round((_FLUSH_SECONDS if blocks is None else _FLUSH_BLOCKS) / period))
         done = 0
         while True:
             k = done
-            if k - self._first == block:
+            if k - self._first == block_size:
                 self._flush(k)
-                rows, take = self._next_block(k)
-            called, lateness = clock(), 0.0
-            count = 0 if blocks is None else blocks.run(k, min(self.count, self._first + block) - k, rows, self._first)
+                rows, write_row = self._next_block(k)
+            started, lateness = clock(), 0.0
+            count = (
+                0 if blocks is None else blocks.run(k, min(self.count, self._first + block_size) - k, rows, self._first)
+            )
             if count:
-                thinking.extend([(clock() - called) / count] * count)
+                thinking.extend([(clock() - started) / count] * count)
                 self._done = done = k + count
                 k, report = done - 1, ticker.report
             else:
@@ -171,29 +189,31 @@ class ControlLoop:
                 except ArithmeticError as failure:
                     self._fail(k, failure)
                     break
-                called = clock()
+                started = clock()
                 report = ticker(k, reading, None if noise is None else noise[k])
-                thought(clock() - called)
-                wrong = None
+                store_thinking(clock() - started)
+                command_failure = None
                 try:
                     rig.command(report.command.item(0))
                 except ArithmeticError as failure:
-                    wrong = failure
-                take(k - self._first, reading, logged, rig.truth, ticker.references[k - ticker.began])
+                    command_failure = failure
+                write_row(k - self._first, reading, logged, rig.truth, ticker.references[k - ticker.began])
                 self._done = done = k + 1
-                if watched and wrong is None:
-                    wrong = ticker.failure
-                if wrong is not None:
-                    self._fail(k, wrong)
+                if has_user_parts and command_failure is None:
+                    command_failure = ticker.failure
+                if command_failure is not None:
+                    self._fail(k, command_failure)
                     break
                 lateness = reading.late
             if report.notable.item(0):
                 self._handle_outcome(k, rig)
             if lateness > 0:
-                late, now = late + 1, k * period
-                if now >= quiet_until:
-                    quiet_until = now + _REPORT_INTERVAL
-                    self._event(now, "warn", "deadline missed", Cause.LATE, {"late_ms": 1e3 * lateness, "count": late})
+                late_ticks, time_s = late_ticks + 1, k * period
+                if time_s >= quiet_until:
+                    quiet_until = time_s + _REPORT_INTERVAL
+                    self._event(
+                        time_s, "warn", "deadline missed", Cause.LATE, {"late_ms": 1e3 * lateness, "count": late_ticks}
+                    )
             if ticker.event:
                 self._event(k * period, "info", "controller", words=ticker.event)
             if (fault := rig.fault) is not None and self.end.name != fault.name:
@@ -210,10 +230,10 @@ class ControlLoop:
                 elif not self._stopped:
                     self._emit_choices(done, recovery.follow_up(k, report, ticker, period))
                 if done == ticker.began + ticker.count:
-                    following = () if self._stopped else recovery.ended(k, ticker)
-                    if not following:
+                    choices = () if self._stopped else recovery.ended(k, ticker)
+                    if not choices:
                         break
-                    self._emit_choices(done, following)
+                    self._emit_choices(done, choices)
                 if self._stopped and report.done.item(0):
                     break
                 if done == self._until and not self._stopped:
@@ -231,35 +251,43 @@ class ControlLoop:
         self.end = replace(self.end, time=max(done - 1, 0) * period)
         self.sink.event(self.end)
         self.progress("run", 1.0)
-        kept = Ticks.joined([*self._full, self._rows.between(0, done - self._first)])
-        result = LoopResult(self.end, kept, late, elapsed, np.array(thinking), constants=ticker.constants)
+        all_ticks = Ticks.joined([*self._full, self._rows.between(0, done - self._first)])
+        result = LoopResult(self.end, all_ticks, late_ticks, elapsed, np.array(thinking), constants=ticker.constants)
         return result if recovery is None else replace(result, falls=recovery.falls, stretches=recovery.stretches(done))
 
     def _fail(self, k: int, failure: ArithmeticError) -> None:
-        """Record a failure that ends the run at tick k.
+        """End the run at tick k because the plant or a user's object failed.
 
-        The plant or a user's object failed.
+        The failure's message becomes the text of the run's last event.
         """
-        own = isinstance(failure, OwnFailure)
-        words = f"{failure}, at t = {k * self._period:.3f} s" if own else str(failure)
-        self.end = ended(Cause.OBJECT_FAILED if own else Cause.PLANT_FAILED, words=words)
-        _LOG.debug("%s", words, exc_info=failure)
+        is_user_object = isinstance(failure, OwnFailure)
+        message = f"{failure}, at t = {k * self._period:.3f} s" if is_user_object else str(failure)
+        self.end = ended(Cause.OBJECT_FAILED if is_user_object else Cause.PLANT_FAILED, words=message)
+        _LOG.debug("%s", message, exc_info=failure)
 
     def _next_block(self, k: int) -> tuple[Ticks, Callable[..., None]]:
-        """Allocate rows from tick k on."""
-        before = self._rows
+        """Allocate rows for the block of ticks that begins with tick k, and return them with their method `take`.
+
+        A run of any length is stored block by block. The full block before is stored for the result, unless `keep` is
+        False.
+        """
+        full_block = self._rows
         if self._keep:
-            self._full.append(before)
-        has_truth, extras = before.truth is not None, len(self.ticker.extra_names)
+            self._full.append(full_block)
+        has_truth, extras = full_block.truth is not None, len(self.ticker.extra_names)
         self._rows = rows = Ticks.empty(
-            len(before.times), self._arms, has_truth=has_truth, period=self._period, extras=extras, first=k
+            len(full_block.times), self._arms, has_truth=has_truth, period=self._period, extras=extras, first=k
         )
         self._first = k
         return rows, rows.take
 
     def _handle_outcome(self, k: int, rig: Rig) -> None:
-        """React to tick k: recover, restart, hold, or stop the cart."""
-        ticker, now = self.ticker, k * self._period
+        """Carry out the decision of the tick's supervisor at tick k.
+
+        The decision is an `Outcome`: restart the estimator, move the reference's clock, hold an orbit, or stop the
+        cart. If a recovery exists, a fall is only noted here, and `_run` hands it to the recovery after the tick.
+        """
+        ticker, time_s = self.ticker, k * self._period
         outcome = Outcome(int(ticker.report.outcome.item(0)))
         if outcome is not Outcome.GO_ON:
             cause, figures = Cause[outcome.name], ticker.figures(k)
@@ -267,17 +295,18 @@ class ControlLoop:
                 # The rest of this tick still belongs to the former reference.
                 self._fall = None if self._stopped else (cause, figures)
                 return
-            self._event(now, "warn", EVENTS.get(cause, "stop"), cause, figures)
+            self._event(time_s, "warn", EVENTS.get(cause, "stop"), cause, figures)
             if outcome is Outcome.RESTART:
+                # A restarting filter has no valid NIS, which is column 5.
                 self._rows.control[k - self._first, 5] = np.nan
             elif outcome is Outcome.RESYNCHRONISE:
                 moved = ticker.resynchronise(k)
-                self._event(now, "info", "re-synchronise", "" if moved else Cause.CLOCKLESS, words=moved)
+                self._event(time_s, "info", "re-synchronise", "" if moved else Cause.CLOCKLESS, words=moved)
             elif outcome is Outcome.HOLD:
                 assert self.fallback is not None
-                held = ticker.hold(k, self.fallback)
-                self._event(now, "warn", "fallback", words=held)
-                self.end = ended(cause, {**figures, "held": held})
+                description = ticker.hold(k, self.fallback)
+                self._event(time_s, "warn", "fallback", words=description)
+                self.end = ended(cause, {**figures, "held": description})
             else:
                 self.end, self._stopped = ended(cause, figures), True
                 # From here on the reference is constant.
@@ -287,9 +316,10 @@ class ControlLoop:
             rig.stop()
 
     def _recover(self, k: int, cause: Cause, figures: Mapping[str, Any], recovery: FallRecovery, rig: Rig) -> None:
-        """Return from a fall at tick k, or end the run.
+        """Begin the recovery from a fall at tick k, or end the run if no attempt is left.
 
-        The run ends if no attempt is left.
+        A fall is the loss of the itinerary, for example if an arm leaves the reference. `cause` and `figures` describe
+        it for the log. After the last attempt, the cart is stopped.
         """
         self._fall = None
         choices = recovery.fell(k, cause, figures, self.ticker, self._period)
@@ -303,17 +333,17 @@ class ControlLoop:
         rig.stop()
 
     def _emit_choices(self, k: int, choices: Sequence[Event]) -> None:
-        """Emit the recovery's choices of tick k as events."""
+        """Send the recovery's decisions of tick k, such as the start of a flight, to the sink as events."""
         for choice in choices:
             self._event(k * self._period, choice.level, choice.name, choice.cause, choice.figures)
 
     def _emit_news(self, k: int) -> None:
-        """Emit events of tick k that change no state."""
-        now, figures = k * self._period, self.ticker.figures(k)
+        """Send events that change no state: the command is newly cut, or an estimate is outside its trusted range."""
+        time_s, figures = k * self._period, self.ticker.figures(k)
         if figures["newly_cut"]:
-            self._event(now, "warn", "saturated", Cause.CUT, figures)
+            self._event(time_s, "warn", "saturated", Cause.CUT, figures)
         if figures["untrusted"]:
-            self._event(now, "info", "controller", Cause.UNTRUSTED, self.ticker.untrusted())
+            self._event(time_s, "info", "controller", Cause.UNTRUSTED, self.ticker.untrusted())
 
     def _event(
         self,
@@ -324,13 +354,20 @@ class ControlLoop:
         figures: Mapping[str, Any] | None = None,
         words: str = "",
     ) -> None:
-        """Hand an event to the sink."""
+        """Send an event at `time_s` to the sink, after the rows of all earlier ticks.
+
+        `words` replaces the sentence that is made from cause and figures, for texts that a law or user's object
+        supplies.
+        """
         # Events follow the ticks that they belong to.
         self._flush(round(time_s / self._period))
         self.sink.event(Event(time_s, level, name, cause, figures or {}, words))
 
     def _flush(self, until: int) -> None:
-        """Hand the rows before a tick to the sink, unless it has them."""
+        """Send the rows of all ticks before tick `until` to the sink, except those that it has received.
+
+        A killed run then loses later rows only.
+        """
         first = self._flushed
         if until > first:
             # Set first, so that an interrupt cannot write rows twice.
@@ -339,7 +376,7 @@ class ControlLoop:
 
 
 _SHAPED = 0.25
-"""Largest belt frequency for which commands are shaped, as a share of the loop's rate."""
+"""Largest frequency of the drive's belt for which commands are shaped by a notch, as a share of the loop's rate."""
 
 
 _BLIND_ERROR = 0.03
@@ -417,22 +454,25 @@ class LoopSettings(Settings, table="run"):
     supervisor: SupervisorSettings = field(default_factory=SupervisorSettings)
 
     def _check_together(self) -> None:
-        """Check that settings fit together.
-
-        The keeper of stops must fit the controller, and a plant is drawn in one way.
-        """
+        """Raise an `InputError` if two settings contradict each other, such as a keeper of stops and another law."""
         if isinstance(self.start, str) and self.start not in ("planned", "anywhere"):
             raise self.refusal("start", f"{suggest(self.start, ('planned', 'anywhere'))}, or a state")
         if self.sensors.jitter > 1 / self.rate:
-            older = "use the drive's delay for readings that are older"
-            raise self.sensors.refusal("jitter", f"must be at most a period, {1 / self.rate:g} s; {older}")
+            advice = "use the drive's delay for readings that are older"
+            raise self.sensors.refusal("jitter", f"must be at most a period, {1 / self.rate:g} s; {advice}")
         if self.plant is not None and self.model_uncertainty:
             raise self.refusal("model_uncertainty", "the plant's arms differ from the model's; use a mismatch")
-        mechanics = replace(
+        # A user's `step` replaces all mechanics except the initial state, which it receives.
+        replaced_mechanics = replace(
             self.mechanics, initial_rate=0.0, initial_cart=0.0, initial_position=0.0, initial_velocity=0.0
         )
-        built_in = self.drive.lag or self.drive.cart_mass or self.disturbances.tilt or mechanics != MechanicsSettings()
-        if self._own_plant and (built_in or self.model_uncertainty):
+        has_replaced_parts = (
+            self.drive.lag
+            or self.drive.cart_mass
+            or self.disturbances.tilt
+            or replaced_mechanics != MechanicsSettings()
+        )
+        if self._own_plant and (has_replaced_parts or self.model_uncertainty):
             raise InputError(
                 f"run: plant = {self._own_plant.name}: its `step` replaces arms, cart and drive; remove lag, "
                 f"cart_mass, tilt, model_uncertainty, belts, play, cables and stiction"
@@ -452,39 +492,41 @@ class LoopSettings(Settings, table="run"):
         return BenchSettings(self.sensors, self.drive, self.disturbances, self.mechanics)
 
     def known_mechanics(self, arms: int) -> KnownMechanics:
-        """Return the loop's model of the bench's mechanics.
+        """Return the loop's model of play, belt and existing encoders, which filter and command shaping use.
+
+        The values are those of the bench, unless the settings give others.
 
         Args:
             arms: number of arms.
         """
-        own = self.mechanics
+        mechanics = self.mechanics
         encoders = () if self.encoders is True else self.of_each("encoders", arms)
-        return KnownMechanics(own.of_each("known_play", arms), self.known_belt, own.belt_damping, encoders)
+        return KnownMechanics(mechanics.of_each("known_play", arms), self.known_belt, mechanics.belt_damping, encoders)
 
     def counts(self, arms: int) -> list[int]:
-        """Return the counts per turn of the encoders that round.
+        """Return the counts per turn of the encoders that measure and round; the coarsest limits the estimate.
 
         Args:
             arms: number of arms.
         """
-        pairs = zip(self.of_each("encoders", arms), self.sensors.of_each("counts", arms), strict=True)
-        return [counts for measured, counts in pairs if measured and counts]
+        encoders = zip(self.of_each("encoders", arms), self.sensors.of_each("counts", arms), strict=True)
+        return [counts for measured, counts in encoders if measured and counts]
 
     @property
     def known_belt(self) -> float:
-        """Belt frequency in the loop's model, Hz.
+        """Belt frequency in the loop's model, Hz, for which commands are shaped.
 
-        0 without a belt or if the rate is too low for shaping.
+        The result is 0 without a belt, or if the loop's rate is too low for shaping.
         """
-        own = self.mechanics
-        belt = own.belt if np.isinf(own.known_belt) else own.known_belt
-        return belt if belt < _SHAPED * self.rate else 0.0
+        mechanics = self.mechanics
+        frequency = mechanics.belt if np.isinf(mechanics.known_belt) else mechanics.known_belt
+        return frequency if frequency < _SHAPED * self.rate else 0.0
 
     @property
     def known_lag(self) -> float:
-        """Lag in the model of filter, prediction and gains, s.
+        """Lag from a command to the cart's motion in the model of filter, prediction and gains, s.
 
-        Of the drive, and of a belt with its shaping.
+        It is the sum of the drive's lag and of the lag of a belt with shaped commands.
         """
         return self.drive_lag + KnownMechanics((), self.known_belt, self.mechanics.belt_damping).lag
 
@@ -497,7 +539,7 @@ class LoopSettings(Settings, table="run"):
         seed: int | None = None,
         mismatch: float | None = None,
     ) -> BenchDraw:
-        """Return the draw for one run; see `draw_bench`.
+        """Draw plant, sensor errors and disturbances of one run from its seed; see `draw_bench`.
 
         Args:
             arms: parameters of the model's arms.
@@ -507,7 +549,7 @@ class LoopSettings(Settings, table="run"):
             mismatch: relative error of the plant's parameters, by default that of the settings.
         """
         plant = self.plant
-        own = plant.own if isinstance(plant, OwnPlant) else None
+        user_plant = plant.own if isinstance(plant, OwnPlant) else None
         unlike = Unlike(
             self.mismatch if mismatch is None else mismatch, self.model_uncertainty, uncertainty, self.initial_error,
             self.friction, None if isinstance(plant, OwnPlant) else plant,
@@ -515,26 +557,26 @@ class LoopSettings(Settings, table="run"):
         drawn = draw_bench(
             arms, self.bench, seed=self.seed if seed is None else seed, ticks=ticks, period=1 / self.rate, unlike=unlike
         )
-        if own is None or not own.symbolic:
-            return replace(drawn, own=own)
-        return replace(drawn, plant=replace(drawn.plant, components=(*drawn.plant.components, own.thing)))
+        if user_plant is None or not user_plant.symbolic:
+            return replace(drawn, own=user_plant)
+        return replace(drawn, plant=replace(drawn.plant, components=(*drawn.plant.components, user_plant.thing)))
 
     @property
     def _own_plant(self) -> OwnObject | None:
-        """A user's plant in Python that replaces arms, cart and drive."""
-        own = self.plant.own if isinstance(self.plant, OwnPlant) else None
-        return None if own is None or own.symbolic else own
+        """A user's plant in Python that replaces arms, cart and drive; None for built-in and symbolic plants."""
+        user_plant = self.plant.own if isinstance(self.plant, OwnPlant) else None
+        return None if user_plant is None or user_plant.symbolic else user_plant
 
     @property
     def keeps_by_phase(self) -> bool:
-        """True if laws with internal timing keep the stops."""
+        """True if laws with internal timing keep the stops; without gains by time, no fall can be recovered."""
         return keeps_by_phase(self.keep, self.estimator)
 
     @property
     def lockstep(self) -> bool:
-        """True if runs of these settings can be computed in lockstep, up to a flight.
+        """True if runs of these settings can be computed in lockstep, until one leaves the itinerary for a flight.
 
-        The law must support it too.
+        This requires compiled parts and no faults that act on one run alone. The law must support lockstep too.
         """
         sensors, supervisor = self.sensors, self.supervisor
         faults = sensors.missed_counts or np.isfinite(sensors.stuck_at)
@@ -544,11 +586,11 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def filters(self) -> EstimatorSettings | OwnEstimator:
-        """Settings of the estimator.
+        """Settings of the estimator, completed for the law and the encoders.
 
-        For a hold with flights, it also estimates the arms' parameters by default. Without an encoder, it cannot tell
-        these, or further accelerations of the arms, from their motion: it estimates the drive alone, and expects that
-        the model's accelerations are wrong.
+        For a hold with flights, it also estimates the arms' parameters by default. If an encoder is missing, the motion
+        of the arms does not determine their parameters or further accelerations. The estimator then estimates the drive
+        alone, and expects that the model's accelerations are wrong.
         """
         estimator = self.estimator
         holds = isinstance(self.controller, HoldSettings) and isinstance(estimator, EkfSettings)
@@ -563,9 +605,9 @@ class LoopSettings(Settings, table="run"):
 
     @property
     def own(self) -> tuple[OwnObject, ...]:
-        """Users' own objects that do not come from a file."""
-        made = [getattr(one, "own", None) for one in (self.controller, self.estimator, self.plant)]
-        return tuple(one for one in made if isinstance(one, OwnObject) and not one.source)
+        """Users' own objects that were given in Python, which other processes cannot load from a file."""
+        objects = [getattr(part, "own", None) for part in (self.controller, self.estimator, self.plant)]
+        return tuple(part for part in objects if isinstance(part, OwnObject) and not part.source)
 
     def limits(self, planned: Limits) -> Limits:
         """Return the cart's limits in this run.

@@ -54,7 +54,7 @@ _SHOWN = 60
 
 
 class OwnFailure(ArithmeticError):
-    """A user's object failed.
+    """A user's object raised, or returned an invalid value.
 
     The message has the object, the method and the value.
     """
@@ -73,6 +73,7 @@ class OwnObject:
     """
 
     def __init__(self, role: str, thing: Any, source: str = "") -> None:
+        """Check that the object is not a class, and that it has the methods of its role."""
         self.role, self.thing, self.source = role, thing, source
         self.symbolic = isinstance(thing, {"controller": SymbolicLaw, "plant": SymbolicPlant}.get(role, ()))
         self.name: str = (thing if isinstance(thing, type | SymbolicLaw) else type(thing)).__name__
@@ -96,7 +97,7 @@ class OwnObject:
 
     @cached_property
     def _fingerprint(self) -> str:
-        """A hash of code and state, unique if these cannot be read."""
+        """A hash of code and state, which identifies the object in cached results; unique if these cannot be read."""
         try:
             code = self.thing.function if isinstance(self.thing, SymbolicLaw) else type(self.thing)
             return content_hash(inspect.getsource(code), pickle.dumps(self.thing))
@@ -120,7 +121,7 @@ class OwnObject:
             raise OwnFailure(f"{self.name}.{member} raised {_error_text(error)}") from error
 
     def numbers(self, member: str, value: Any, *shape: int) -> Array:
-        """Return the numbers that a method returned as an array.
+        """Return the numbers that a method returned as an array, after a check of shape and size.
 
         Args:
             member: name of the method, for the message.
@@ -135,13 +136,15 @@ class OwnObject:
         except (TypeError, ValueError, OverflowError):
             array = np.full(shape, np.nan)
         if array.shape != shape or not np.abs(array).max() <= LARGEST:
-            text = " ".join(repr(value).split())[:_SHOWN]
-            raise OwnFailure(f"{self.name}.{member} returned {text}: it must return {math.prod(shape)} {_NUMBERS}")
+            shown_value = " ".join(repr(value).split())[:_SHOWN]
+            raise OwnFailure(
+                f"{self.name}.{member} returned {shown_value}: it must return {math.prod(shape)} {_NUMBERS}"
+            )
         return array
 
 
 def wrong_command(law: str, value: float) -> OwnFailure | None:
-    """Return the error for a command, or None if it is valid.
+    """Return the error for an invalid command of a symbolic law, or None if the command is valid.
 
     Args:
         law: name of the symbolic law.
@@ -151,6 +154,7 @@ def wrong_command(law: str, value: float) -> OwnFailure | None:
 
 
 def _error_text(error: BaseException) -> str:
+    """Return the kind and message of an error on one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
@@ -200,7 +204,12 @@ def own_object(role: str, value: Any) -> OwnObject:
 
 @dataclass(frozen=True)
 class _Chosen:
-    """Settings that select a user's object."""
+    """Settings that select a user's object.
+
+    Attributes:
+        kind: name of the object, for the log.
+        own: the object.
+    """
 
     kind: str
     own: OwnObject
@@ -235,22 +244,31 @@ class OwnPlant(_Chosen):
 
 @dataclass(frozen=True, eq=False)
 class OwnController(ReferenceController):
-    """A user's law on a reference; period in s."""
+    """A user's law on a reference.
+
+    Attributes:
+        own: the user's object.
+        period: time between ticks, s.
+    """
 
     own: OwnObject
     period: float
 
     def begin_after(self, lead: int) -> "OwnSession":
-        """Return a session for one run.
+        """Return a session of the law for one run, whose commands act `lead` ticks after their reading.
 
         Args:
-            lead: number of first commands that come from the reference.
+            lead: number of first commands, which come from the reference because no reading precedes them.
         """
         return OwnSession(self, lead)
 
 
 class OwnSession(Session):
     """A user's law during a run.
+
+    Args:
+        law: the law.
+        lead: number of first commands that come from the reference.
 
     `failure` is the error that ended it.
     """
@@ -268,20 +286,20 @@ class OwnSession(Session):
             extra: estimated further parameters (E,), which the law does not receive.
         """
         law = self._law
-        wanted = law.reference_states[min(tick, law.ticks)]
-        forward = float(law.feedforward[min(tick, law.ticks - 1)])
+        reference = law.reference_states[min(tick, law.ticks)]
+        feedforward = float(law.feedforward[min(tick, law.ticks - 1)])
         if tick < self._lead:
-            return Action(forward, 0.0, wanted, Mode.TRACKING)
-        value = 0.0
+            return Action(feedforward, 0.0, reference, Mode.TRACKING)
+        command = 0.0
         try:
             if not self._begun:
                 self._begun = True
                 law.own.call("reset")
-            given = law.own.call("control", tick * law.period, state, Setpoint(wanted.copy(), forward))
-            value = float(law.own.numbers("control", given))
+            value = law.own.call("control", tick * law.period, state, Setpoint(reference.copy(), feedforward))
+            command = float(law.own.numbers("control", value))
         except OwnFailure as failure:
             self.failure = failure
-        return Action(forward, value - forward, wanted, Mode.TRACKING)
+        return Action(feedforward, command - feedforward, reference, Mode.TRACKING)
 
 
 class OwnEstimates(Estimator):
@@ -299,6 +317,7 @@ class OwnEstimates(Estimator):
     extra_names = ()
 
     def __init__(self, own: OwnObject, model: SampledModel, *, noise: Array) -> None:
+        """Begin before the first reading; `_count` counts the updates and `_sent` is the last command, m/s²."""
         self.own, self.kind, self._model, self._noise = own, own.name, model, noise
         self.failure: OwnFailure | None = None
         self.judged = True
@@ -312,8 +331,8 @@ class OwnEstimates(Estimator):
             state: nominal initial state (N,).
         """
         self.failure, self._sent, self._count = None, 0.0, 0
-        none = np.full(len(state), np.nan)
-        return Estimate(state.copy(), np.empty(0), none, np.zeros(self._model.arms + 1), 0.0, 0, None)
+        unknown = np.full(len(state), np.nan)
+        return Estimate(state.copy(), np.empty(0), unknown, np.zeros(self._model.arms + 1), 0.0, 0, None)
 
     def sends(self, command: float) -> None:
         """Receive the last command, which the object's next update is told.
@@ -345,28 +364,35 @@ class OwnEstimates(Estimator):
         return self._updated(estimate, self._model.step(estimate.state, command), measured, present)
 
     def _updated(self, estimate: Estimate, expected: Array, measured: Array, present: Present) -> Estimate:
-        """Return the user's estimate, judged by the expected state; a failure leaves the estimate as it was."""
-        own, size = self.own, len(estimate.state)
-        seen = np.ones(len(measured), dtype=bool) if present is None else present
-        reading = Reading(self._count * self._model.period, measured.copy(), seen.copy())
+        """Return the user's estimate after a reading, with its NIS; a failure leaves the estimate as it was.
+
+        Args:
+            estimate: last estimate.
+            expected: state (N,) that the model predicts for this reading, from which the innovation is computed.
+            measured: positions (n+1,), rad and m.
+            present: True for each new position (n+1,), None if all are new.
+        """
+        user_object, size = self.own, len(estimate.state)
+        measured_now = np.ones(len(measured), dtype=bool) if present is None else present
+        reading = Reading(self._count * self._model.period, measured.copy(), measured_now.copy())
         try:
             if not self._count:
-                own.call("reset")
-            state = own.numbers("update", own.call("update", reading, self._sent), size)
-            given = own.call("sigmas")
-            sigmas = estimate.sigmas if given is None else own.numbers("sigmas", given, size)
+                user_object.call("reset")
+            state = user_object.numbers("update", user_object.call("update", reading, self._sent), size)
+            stated_sigmas = user_object.call("sigmas")
+            sigmas = estimate.sigmas if stated_sigmas is None else user_object.numbers("sigmas", stated_sigmas, size)
         except OwnFailure as failure:
             self.failure = failure
             return estimate
         self._count += 1
-        nis, rows = 0.0, np.flatnonzero(seen)
-        self.judged = given is not None
+        nis, rows = 0.0, np.flatnonzero(measured_now)
+        self.judged = stated_sigmas is not None
         if self.judged and len(rows):
             places = self._model.position_indices[rows]
-            away = measured[rows] - expected[places]
-            away -= np.where(rows < self._model.arms, 2 * np.pi * np.rint(away / (2 * np.pi)), 0.0)
-            spread = np.diag(sigmas[places] ** 2) + self._noise[np.ix_(rows, rows)]
-            nis = float(away @ np.linalg.lstsq(spread, away, rcond=None)[0])
+            innovation = measured[rows] - expected[places]
+            innovation -= np.where(rows < self._model.arms, 2 * np.pi * np.rint(innovation / (2 * np.pi)), 0.0)
+            covariance = np.diag(sigmas[places] ** 2) + self._noise[np.ix_(rows, rows)]
+            nis = float(innovation @ np.linalg.lstsq(covariance, innovation, rcond=None)[0])
         return Estimate(state, estimate.extra, sigmas, estimate.innovation, nis, len(rows), None)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
@@ -390,7 +416,7 @@ class OwnEstimates(Estimator):
         return np.diag(estimate.sigmas**2)
 
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Leave the estimate to the object.
+        """Return the estimate unchanged, because only the user's object can restart itself.
 
         Args:
             estimate: estimate that is returned unchanged.
@@ -410,6 +436,7 @@ class OwnArms:
     """
 
     def __init__(self, own: OwnObject, parameters: PlantParameters, state: Array, *, track: float) -> None:
+        """Begin at the initial state; the object's `reset` is called before its first step."""
         self._own, self._parameters, self._track, self._begun = own, parameters, track, False
         self._cart = 2 * parameters.arms.count
         self.faults: dict[int, Event] = {}
@@ -440,10 +467,10 @@ class OwnArms:
         value = self._own.call("step", self.state.copy(), float(acceleration), float(duration))
         state, cart = self._own.numbers("step", value, len(self.state)), self._cart
         if abs(state[cart]) > self._track:
-            side, speed = math.copysign(self._track, state[cart]), state[cart + 1]
-            place = {"time": time + duration, "position": side, "velocity": speed}
-            self.faults.setdefault(0, ended(Cause.HARD_STOP, place))
-            state[cart], state[cart + 1] = side, 0.0
+            stop_position, speed = math.copysign(self._track, state[cart]), state[cart + 1]
+            figures = {"time": time + duration, "position": stop_position, "velocity": speed}
+            self.faults.setdefault(0, ended(Cause.HARD_STOP, figures))
+            state[cart], state[cart + 1] = stop_position, 0.0
         self._set_state(state)
 
     def strike(self, blow: Blow, run: int = 0) -> None:
@@ -458,6 +485,7 @@ class OwnArms:
         )
 
     def _set_state(self, state: Array) -> None:
+        """Store the state (N,), also as plain floats, which the bench reads faster."""
         self.state[:] = state
         self.values = state.tolist()
 
@@ -474,6 +502,7 @@ class OwnRig:
     """
 
     def __init__(self, own: OwnObject, *, arms: int, period: float) -> None:
+        """Begin before the first reading; `_count` counts the readings."""
         self.own, self.period, self.fault = own, period, None
         self._arms, self._count, self._stopped = arms, 0, False
         self.truth: Array | None = None if getattr(own.thing, "truth", None) is None else np.zeros(2 * arms + 2)
@@ -485,16 +514,19 @@ class OwnRig:
         Raises:
             OwnFailure: the object failed.
         """
-        own, m = self.own, self._arms + 1
-        value = own.call("read")
-        positions, now = own.numbers("read", getattr(value, "positions", value), m), self._count * self.period
+        user_object, count = self.own, self._arms + 1
+        value = user_object.call("read")
+        positions, time_s = (
+            user_object.numbers("read", getattr(value, "positions", value), count),
+            self._count * self.period,
+        )
         self._count += 1
         if self.truth is not None:
-            self.truth = own.numbers("truth", own.call("truth"), 2 * self._arms + 2)
+            self.truth = user_object.numbers("truth", user_object.call("truth"), 2 * self._arms + 2)
         if not isinstance(value, Reading):
-            return Reading(now, positions)
-        present = None if value.present is None else own.numbers("read", value.present, m) != 0
-        return value._replace(time=now, positions=positions, present=present)
+            return Reading(time_s, positions)
+        present = None if value.present is None else user_object.numbers("read", value.present, count) != 0
+        return value._replace(time=time_s, positions=positions, present=present)
 
     def command(self, acceleration: float) -> None:
         """Send a command to the object.

@@ -57,11 +57,16 @@ class Course(Brief):
 class Request(NamedTuple):
     """A question for a flight.
 
-    state (N,): at the first tick whose command is free. push: acceleration of a lagging drive then, m/s². ticks: from
-    there to the flight. lead: ticks of pending commands. goal: index of the stop that it leads to, -1 for rest. course:
-    flight under way, which is replaced only if it misses its goal, or None. first: tick of its law at that state.
-    latest: time of the plan's reference after which no place is joined, s. parameters (p,): those of the arms by the
-    present estimate.
+    Attributes:
+        state: state (N,) at the first tick whose command is free.
+        push: acceleration of a lagging drive then, m/s².
+        ticks: number of ticks from there to the start of the flight.
+        lead: number of ticks with pending commands.
+        goal: index of the stop that the flight leads to, -1 for rest.
+        course: flight under way, which is replaced only if it misses its goal, or None.
+        first: tick of its law at that state.
+        latest: time of the plan's reference after which no place is joined, s.
+        parameters: parameters (p,) of the arms by the present estimate.
     """
 
     state: Array
@@ -82,7 +87,7 @@ class Answer(NamedTuple):
 
 
 class Pilot(Protocol):
-    """A search for flights."""
+    """A search for flights, which a recovery asks and whose answer it reads some ticks later."""
 
     def ask(self, request: Request) -> None:
         """Begin to plan a flight.
@@ -97,7 +102,15 @@ class Pilot(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Briefing:
-    """What a pilot knows: model, limits and goals, in a form that can be sent to another program."""
+    """Model, limits and goals of a pilot, in a form that can be sent to another program.
+
+    Attributes:
+        arms: arms of the model.
+        rate: rate of the loop, Hz.
+        lag: drive lag of the model, s.
+        limits: the cart's limits.
+        goals: goals of the stops in order, and at last of rest.
+    """
 
     arms: ArmChainParameters
     rate: float
@@ -107,13 +120,17 @@ class Briefing:
 
 
 class DirectPilot:
-    """A search in this program, which waits for its result.
+    """A search for flights in this program: `ask` returns when the search is complete.
 
     Args:
         briefing: model, limits and goals.
     """
 
     def __init__(self, briefing: Briefing) -> None:
+        """Make the models and the planner once; `ask` replaces their parameters by those of each request.
+
+        The gains along a flight use the coarse model, whose periods are longer.
+        """
         self.briefing, rate, lag = briefing, briefing.rate, briefing.lag
         self._model = sampled_model(briefing.arms, rate, lag)
         self._coarse = sampled_model(briefing.arms, rate / max(1, round(rate / _GAINS)), lag)
@@ -123,7 +140,7 @@ class DirectPilot:
         self._answer: Answer | None = None
 
     def ask(self, request: Request) -> None:
-        """Plan a flight.
+        """Plan a flight with its law, unless the flight under way reaches its goal.
 
         Args:
             request: states and goal.
@@ -132,60 +149,91 @@ class DirectPilot:
             model.parameters[:] = request.parameters
         self._planner = self._usual.with_parameters(request.parameters)
         goal, course = self.briefing.goals[request.goal].until(request.latest), request.course
-        coming = self._predicted(request)
-        if course is not None and self._lands(course, coming[-1], request.first + request.ticks - request.lead, goal):
+        predicted_states = self._predicted(request)
+        if course is not None and self._lands(
+            course, predicted_states[-1], request.first + request.ticks - request.lead, goal
+        ):
             self._answer = Answer(None)
             return
-        flights = self._planner.plan(coming[-1:], goal.target)
-        self._answer = Answer(self._followed(coming[:-1], flights, goal) if flights.reached[0] else None)
+        flights = self._planner.plan(predicted_states[-1:], goal.target)
+        self._answer = Answer(self._followed(predicted_states[:-1], flights, goal) if flights.reached[0] else None)
 
     def answer(self) -> Answer | None:
         """Return the answer to the last request."""
         return self._answer
 
     def _predicted(self, request: Request) -> Array:
-        """Return the states (lead + 1, N) on which pending commands act, and in which the flight begins."""
-        model, most, push, path = self._model, self.briefing.limits.acceleration, request.push, [request.state]
+        """Return the states (lead + 1, N) on which pending commands act, of which the last is the start of the flight.
+
+        The state of the request is advanced under the braking law, or under the law of the flight under way. `share`
+        and `push` describe a drive whose acceleration approaches the command exponentially.
+        """
+        model, max_acceleration, push, states = (
+            self._model,
+            self.briefing.limits.acceleration,
+            request.push,
+            [request.state],
+        )
         share = model.lag / model.period * (1 - model.lag_keeps)
         for tick in range(request.first, request.first + request.ticks):
-            state = path[-1]
+            state = states[-1]
             if request.course is None:
                 command = -float(self._braking @ state[-2:])
             else:
                 law = request.course.law
-                at = min(tick, len(law.feedforward) - 1)
-                command = float(law.feedforward[at] + law.gains[at] @ (law.reference_states[at] - state))
-            command = clip_number(command, -most, most)
-            path.append(model.step(state, command + share * (push - command)))
+                row = min(tick, len(law.feedforward) - 1)
+                command = float(law.feedforward[row] + law.gains[row] @ (law.reference_states[row] - state))
+            command = clip_number(command, -max_acceleration, max_acceleration)
+            states.append(model.step(state, command + share * (push - command)))
             push = command + model.lag_keeps * (push - command)
-        return np.array(path[-(request.lead + 1) :])
+        return np.array(states[-(request.lead + 1) :])
 
     def _lands(self, course: Course, state: Array, elapsed: int, goal: FlightGoal) -> bool:
-        """Return True if the law of a flight leads from a state at one of its ticks to the goal."""
+        """Return True if the law of the flight under way leads from a predicted state to the goal.
+
+        Its remaining steps are simulated with feedback.
+
+        Args:
+            course: flight under way.
+            state: predicted state (N,).
+            elapsed: tick of the flight at that state.
+            goal: goal of the flight.
+        """
         flights, gains, period = course.flights, course.law.gains, self._model.period
+        # The law's first rows are those of the commands that were pending before the flight.
         step, pending = course.duration / STEPS, len(gains) - int(course.duration / period)
-        first = min(round(elapsed * period / step), STEPS - 1)
-        ticks = np.minimum(pending + (np.arange(first, STEPS) * step / period).astype(int), len(gains) - 1)
+        first_step = min(round(elapsed * period / step), STEPS - 1)
+        ticks = np.minimum(pending + (np.arange(first_step, STEPS) * step / period).astype(int), len(gains) - 1)
         return self._planner.lands(
-            state, flights.nodes[0, first:-1], flights.inputs[0, first:], gains[ticks], step, goal.target
+            state, flights.nodes[0, first_step:-1], flights.inputs[0, first_step:], gains[ticks], step, goal.target
         )
 
     def _followed(self, coming: Array, flights: Flights, goal: FlightGoal) -> Course:
-        """Return a flight with its law, after states (lead, N) on which pending commands act."""
+        """Return a flight with the law that follows it, in ticks of the loop.
+
+        Args:
+            coming: states (lead, N) before the flight, on which pending commands act.
+            flights: flights of the planner, of which the only one is followed.
+            goal: goal of the flight, whose cost-to-go ends the law.
+        """
         period, duration, place = self._model.period, float(flights.durations[0]), int(flights.places[0])
         times = period * np.arange(max(int(duration / period), 1) + 1, dtype=float)
         states, inputs = self._planner.states(flights.nodes[0], flights.inputs[0], duration, times)
-        moved = np.append(0.0, np.cumsum(flights.inputs[0]) * duration / STEPS)
-        commands = np.diff(np.interp(times, np.linspace(0.0, duration, STEPS + 1), moved)) / period
+        # Flights have inputs by steps; the mean input of a tick is the difference of their integral.
+        velocity_change = np.append(0.0, np.cumsum(flights.inputs[0]) * duration / STEPS)
+        commands = np.diff(np.interp(times, np.linspace(0.0, duration, STEPS + 1), velocity_change)) / period
         zeros = np.zeros(len(coming))
-        path = TickedMotion(np.concatenate([coming, states]), np.append(zeros, commands), np.append(zeros, inputs))
-        most, terminal = self.briefing.limits.acceleration, goal.terminal[place]
-        law = tracking_law(path, self._model, _LAW, most=most, terminal=terminal, coarse=self._coarse)
+        motion = TickedMotion(np.concatenate([coming, states]), np.append(zeros, commands), np.append(zeros, inputs))
+        max_acceleration, terminal = self.briefing.limits.acceleration, goal.terminal[place]
+        law = tracking_law(motion, self._model, _LAW, most=max_acceleration, terminal=terminal, coarse=self._coarse)
         return Course(law, flights, duration, place)
 
 
 class _DistantPilot:
-    """A search in another program at the end of a pipe.
+    """A search for flights in another program, at the end of a pipe, so that a loop in real time need not wait.
+
+    Args:
+        pipe: connection to `_serve` in the other program.
 
     Raises:
         GoalMissed: the other program ended.
@@ -195,7 +243,7 @@ class _DistantPilot:
         self._pipe, self._number, self._asked = pipe, 0, 0.0
 
     def ask(self, request: Request) -> None:
-        """Send a request.
+        """Send a request with a number, by which answers to earlier requests are recognised.
 
         Args:
             request: states and goal.
@@ -206,11 +254,14 @@ class _DistantPilot:
             self._pipe.send((self._number, request))
 
     def answer(self) -> Answer | None:
-        """Return the answer to the last request, or None if it is not ready."""
+        """Return the answer to the last request, or None if it is not ready; answers to earlier requests are dropped.
+
+        In real time the loop must not wait. A loop that runs faster waits up to `_PATIENCE` s.
+        """
         # A loop that runs faster than real time waits.
-        patience = _PATIENCE if time.monotonic() - self._asked < THINKING / 2 else 0.0
+        timeout = _PATIENCE if time.monotonic() - self._asked < THINKING / 2 else 0.0
         with _ended_told():
-            while self._pipe.poll(patience):
+            while self._pipe.poll(timeout):
                 number, answer = self._pipe.recv()
                 if number == self._number:
                     return answer
@@ -219,7 +270,7 @@ class _DistantPilot:
 
 @contextmanager
 def _ended_told() -> Iterator[None]:
-    """Report the end of the other program."""
+    """Raise a `GoalMissed` for a pipe that closes because the other program ended."""
     try:
         yield
     except (EOFError, OSError) as error:
@@ -228,29 +279,32 @@ def _ended_told() -> Iterator[None]:
 
 @contextmanager
 def pilot_beside(briefing: Briefing) -> Iterator[Pilot]:
-    """Start a pilot in a second process, for a bench in real time.
+    """Start a pilot in a second process, for a bench in real time, and end the process at exit.
 
     Args:
         briefing: model, limits and goals.
     """
     context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    process = context.Process(target=_serve, args=(there, briefing), daemon=True)
+    pipe_end, far_end = context.Pipe()
+    process = context.Process(target=_serve, args=(far_end, briefing), daemon=True)
     with ignoring_interrupts():
         process.start()
-    there.close()
+    far_end.close()
     try:
         # It is ready once its code is compiled.
         with _ended_told():
-            here.recv()
-        yield _DistantPilot(here)
+            pipe_end.recv()
+        yield _DistantPilot(pipe_end)
     finally:
         process.terminate()
         process.join()
 
 
 def _serve(pipe: Connection, briefing: Briefing) -> None:
-    """Answer requests until the other end closes."""
+    """Answer requests from a pipe until the other end closes; earlier requests that wait are skipped.
+
+    A first request, whose answer is not sent, compiles the code.
+    """
     end_with_parent()
     pilot, size = DirectPilot(briefing), 2 * briefing.arms.count + 2
     parameters = sampled_model(briefing.arms, briefing.rate).parameters

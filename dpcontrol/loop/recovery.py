@@ -96,12 +96,10 @@ class Motion(StrEnum):
 
 
 def braking_bounds(limits: Limits) -> Mapping[str, float]:
-    """Return the bounds that differ while the cart brakes.
+    """Return the numbers of the supervisor that differ while the cart brakes, by their names in `tick_parts.Numbers`.
 
-    They replace those of a flight (`tick_parts.Numbers`).
-
-    Any distance from rest is allowed, and the filter may restart without limit. The supervisor intervenes only if
-    nothing but maximum braking remains.
+    Any distance from the reference is allowed, and the filter may restart without limit. The supervisor intervenes only
+    if nothing but maximum braking remains.
 
     Args:
         limits: the cart's limits.
@@ -115,6 +113,8 @@ def braking_bounds(limits: Limits) -> Mapping[str, float]:
 def braking_controller(arms: ArmChainParameters, model: SampledModel) -> HoldController:
     """Return the law that brakes the cart towards the middle of its track, whatever the arms do.
 
+    A fallen run follows it until a flight is planned.
+
     Args:
         arms: the arms.
         model: model of arms and drive from tick to tick.
@@ -127,7 +127,12 @@ def braking_controller(arms: ArmChainParameters, model: SampledModel) -> HoldCon
 
 @dataclass(frozen=True, eq=False)
 class ScheduledController(Brief):
-    """A gain schedule as a controller."""
+    """A gain schedule as a controller, for motions whose gains exist already.
+
+    Attributes:
+        gains: gains and references by the loop's clock.
+        kind: name of the law, for the log.
+    """
 
     gains: GainSchedule
     kind: str
@@ -153,13 +158,19 @@ class ScheduledController(Brief):
 
 @dataclass(frozen=True, eq=False)
 class RecoveryPlan(Brief):
-    """Data shared by all recoveries of an itinerary."""
+    """Data shared by all recoveries of an itinerary, in any number of runs of one assembly.
+
+    A stop is an orbit or equilibrium at which the itinerary stays; a symbol is the motion between two stops.
+    """
 
     model: SampledModel
+    """Model of arms and drive from tick to tick."""
     braking: ScheduledController
+    """Law that brakes the cart while a flight is planned."""
     briefing: Briefing
     """Limits, and the goals of the stops, in order, and at last of rest."""
     pilot: Pilot
+    """Search for flights."""
     names: tuple[str, ...]
     """Names of the stops."""
     symbols: tuple[PlanSymbol, ...]
@@ -173,6 +184,7 @@ class RecoveryPlan(Brief):
     rest: GainSchedule
     """Gains that hold the arms at rest."""
     reach: Reach
+    """Places of the reference, by which an earlier one is found that is near."""
     restarts: bool = False
     """True if the itinerary restarts after a fall."""
     attempts: int = 10
@@ -181,34 +193,42 @@ class RecoveryPlan(Brief):
     """True if the run begins with a flight."""
 
     def empty_record(self) -> deque[Array]:
-        """Return an empty record of the angles in the last period of the last stop's orbit."""
+        """Return an empty record of angles, with room for the last period of the last stop's orbit.
+
+        `FallRecovery` fills it every `_EVERY` ticks, to check at the end that the last stop was held.
+        """
         return deque(maxlen=max(round(self.period / self.model.period / _EVERY), 1))
 
     def distance(self, angles: Sequence[Array], end: Array) -> float:
-        """Return the greatest distance from the last stop's orbit, rad.
+        """Return the greatest distance of recorded angles from the last stop's orbit, rad, modulo whole turns.
 
         Args:
-            angles: angles (n,) in its last period, rad.
-            end: last angles (n,) of the reference, rad.
+            angles: angles (n,) at times in the last period, rad.
+            end: last angles (n,) of the reference, which select the whole turns, rad.
         """
-        path = self.path + whole_turns(end - self.path.mean(axis=0))
-        return float(np.abs(np.array(angles)[:, None] - path).max(axis=2).min(axis=1).max())
+        orbit_angles = self.path + whole_turns(end - self.path.mean(axis=0))
+        return float(np.abs(np.array(angles)[:, None] - orbit_angles).max(axis=2).min(axis=1).max())
 
     def runaway_speed(self, planned: Any) -> Any:
-        """Return the speed at which a cart runs away: near its maximum, if the reference is slower, m/s.
+        """Return the speed from which on a cart counts as a runaway, m/s.
+
+        It is near the maximum speed, and above the reference's by a margin.
 
         Args:
             planned: velocity of the reference, m/s.
         """
-        most = self.briefing.limits.velocity
-        return max(_FAST * most, abs(planned) + (1 - _FAST) * most)
+        max_speed = self.briefing.limits.velocity
+        return max(_FAST * max_speed, abs(planned) + (1 - _FAST) * max_speed)
 
     def earlier_place(self, state: Array, here: int, cost: float) -> tuple[int, float] | None:
-        """Return an earlier place of the reference that is much nearer, and the cost-to-go to it, or None.
+        """Return an earlier place of the reference to catch the run at, and the cost-to-go to it, or None.
+
+        The place must be much nearer than the present one: its cost-to-go must be below `_NEARER` times the present
+        cost.
 
         Args:
-            state: state (N,).
-            here: present place.
+            state: estimated state (N,).
+            here: index of the present place in `reach`.
             cost: cost-to-go to the present place.
         """
         place, least = self.reach.nearest(state, here, worth=_WORTH / (self.reach.every * self.model.period))
@@ -216,21 +236,25 @@ class RecoveryPlan(Brief):
 
 
 _NEVER = -1
-"""Tick of the answer if no flight was asked for."""
+"""Tick of the pilot's answer while no request is pending."""
 _event = partial(Event, 0.0)
 """An event whose time the loop sets: level, name, cause and figures."""
 
 
 class FallRecovery:
-    """The choice of motions in one run.
+    """The choice of motions in one run: itinerary, brake or flight, and the places at which they join.
 
     Args:
-        plan: data of the recovery.
+        plan: data shared by all recoveries of the itinerary.
         main: controller of the whole itinerary.
         until: last tick of the run, up to which the itinerary repeats; 0 to end with the reference.
     """
 
     def __init__(self, plan: RecoveryPlan, main: Controller, *, until: int = 0) -> None:
+        """Begin on the itinerary at its first stop, with no attempts and no falls.
+
+        Ticks count from the start of the run, and `_at` is the time on the plan's reference, s, at the tick `_joins`.
+        """
         self._plan, self._main, self.until = plan, main, until
         self.motion = Motion.ITINERARY
         self.falls = 0
@@ -253,7 +277,7 @@ class FallRecovery:
         self._latest = plan.empty_record()
 
     def stretches(self, end: int) -> tuple[Stretch, ...]:
-        """Return the intervals on the itinerary up to the tick `end`.
+        """Return the intervals on the itinerary up to the tick `end`, which are the parts of a run that are scored.
 
         Args:
             end: tick that ends a stretch under way.
@@ -262,7 +286,9 @@ class FallRecovery:
         return (*self._flown, *under_way)
 
     def begin(self, ticker: Ticker) -> Event:
-        """Store the flights' bounds and return the first motion's event.
+        """Store the supervisor's usual bounds, start the first motion and return its event.
+
+        A run from any state begins with braking, until its first flight is planned.
 
         Args:
             ticker: ticker of the run.
@@ -280,41 +306,48 @@ class FallRecovery:
         return _event("info", RETURN, Cause.ANYWHERE)
 
     def _progress(self) -> Mapping[str, Any]:
-        """Return the next symbol, 0 at the last stop, and the number of this attempt."""
+        """Return the figures of an event that joins the itinerary: time on the plan, attempt, and the next symbol."""
         return {"at": self._at, "attempt": self._attempts.get(self._stop, 0) + 1, **self._next()}
 
     def _next(self) -> Mapping[str, Any]:
-        """Return the figures of the next symbol, none at the last stop."""
+        """Return the figures of the next symbol for an event, or none at the last stop."""
         symbols, place = self._plan.symbols, self._stop
         return symbol_figures(symbols, place) if place < len(symbols) else {}
 
     def _resumption(self) -> Event:
-        """Return the event of a run that joins its itinerary, at the begin of a lap or after a fall."""
-        begins, self._begins = self._begins, False
-        if begins:
+        """Return the event of a run that joins its itinerary, at the start of a lap or after a fall."""
+        begins_lap, self._begins = self._begins, False
+        if begins_lap:
             return _event("info", LAP, Cause.JOINED, {"at": self._at, "lap": self._lap})
         return _event("info", RESUME, Cause.JOINED, self._progress())
 
     def runaway(self, k: int, report: Report, ticker: Ticker) -> Mapping[str, float]:
-        """Return the figures of a fall if the cart runs away, otherwise none.
+        """Return the figures of a fall if the cart runs away from its itinerary, otherwise none.
+
+        It must brake early, because swinging arms push it further.
 
         Args:
             k: tick.
             report: report of the tick.
             ticker: ticker of the run.
         """
-        place = 2 * self._arms + 1
+        velocity_index = 2 * self._arms + 1
         if self.motion is not Motion.ITINERARY:
             return {}
-        speed, planned = abs(report.state.item(place, 0)), ticker.references.item(k - ticker.began, place)
-        if speed < self._plan.runaway_speed(planned):
+        speed, reference_speed = (
+            abs(report.state.item(velocity_index, 0)),
+            ticker.references.item(k - ticker.began, velocity_index),
+        )
+        if speed < self._plan.runaway_speed(reference_speed):
             return {}
-        return {"time": k * ticker.program.period, "fast": speed, "planned": abs(planned)}
+        return {"time": k * ticker.program.period, "fast": speed, "planned": abs(reference_speed)}
 
     def fell(
         self, k: int, cause: Cause, figures: Mapping[str, Any], ticker: Ticker, period: float
     ) -> Sequence[Event] | None:
-        """Begin to brake after a fall at tick k.
+        """Begin to brake after a fall at tick k, and choose the stop from which the run resumes.
+
+        A fall from the itinerary counts as an attempt of its symbol; one from a flight counts as a failed flight.
 
         Args:
             k: tick.
@@ -326,43 +359,43 @@ class FallRecovery:
         Returns:
             Events to log, or None if no attempt is left.
         """
-        plan, before = self._plan, self.motion
-        if before is Motion.ITINERARY:
+        plan, motion = self._plan, self.motion
+        if motion is Motion.ITINERARY:
             self._flown.append(Stretch(self._joins, k + 1, self._at))
             # Up to then the run is judged; a place after it would leave a gap.
             self._good = self._at + (self._followed - self._joins) * period - _BEFORE
             if self._arrives and (k - self._joins) * period < 2 * SETTLES:
                 # The law did not take over, so the flight has failed.
-                before = Motion.FLIGHT
-        if before is Motion.ITINERARY:
+                motion = Motion.FLIGHT
+        if motion is Motion.ITINERARY:
             self.falls += 1
-            reached = [stop for stop, goal in enumerate(plan.briefing.goals[:-1]) if goal.at[0] <= self._good]
-            self._stop, self._tries = 0 if plan.restarts else max([self._stop, *reached]), 0
-            tried = self._attempts[self._stop] = self._attempts.get(self._stop, 0) + 1
-            if plan.attempts and tried >= plan.attempts:
+            reached_stops = [stop for stop, goal in enumerate(plan.briefing.goals[:-1]) if goal.at[0] <= self._good]
+            self._stop, self._tries = 0 if plan.restarts else max([self._stop, *reached_stops]), 0
+            attempts = self._attempts[self._stop] = self._attempts.get(self._stop, 0) + 1
+            if plan.attempts and attempts >= plan.attempts:
                 self.motion = Motion.BRAKE
                 return None
-        elif before is Motion.FLIGHT:
+        elif motion is Motion.FLIGHT:
             self._tries += 1
-        logged = before is not Motion.BRAKE or (k - self._began) * period > 1.0
+        is_logged = motion is not Motion.BRAKE or (k - self._began) * period > 1.0
         self._why = cause
         self._sensor = int(ticker.report.sensor.item(0))
-        lost = cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK)
-        # What made the run fall, such as a blow, spoils the estimated parameters. A first flight that fails does not.
-        if lost or before is Motion.ITINERARY or self._tries > 1:
+        estimate_lost = cause in (Cause.ESTIMATE_LOST, Cause.SILENT, Cause.STUCK)
+        # The cause of a fall, such as a blow, spoils the estimated parameters. A first flight that fails does not.
+        if estimate_lost or motion is Motion.ITINERARY or self._tries > 1:
             ticker.lose()
         # The cart stays still until the estimate is reliable again.
-        self._brake(k, ticker, still=lost)
+        self._brake(k, ticker, still=estimate_lost)
         if self._tries >= _MOST_TRIES:
             return None
         next_symbol = {"again": 0 if plan.restarts else self._stop + 1, **self._next()}
-        name = RETURN if before is Motion.ITINERARY else FLIGHT
-        return [_event("warn", name, cause, {**figures, **next_symbol})] if logged else []
+        name = RETURN if motion is Motion.ITINERARY else FLIGHT
+        return [_event("warn", name, cause, {**figures, **next_symbol})] if is_logged else []
 
     def _brake(self, k: int, ticker: Ticker, *, still: bool = False) -> None:
-        """Brake the cart from the tick after k onward.
+        """Brake the cart from the tick after k on, until the estimate is reliable and a flight is planned.
 
-        With `still`, it comes to rest where it is.
+        With `still`, the cart stops where it is, since the braking law cannot use a wrong estimate.
         """
         self.motion, self._began, self._lost_at = Motion.BRAKE, k, k
         self._reliable, self._answers = not still, _NEVER
@@ -375,9 +408,10 @@ class FallRecovery:
             ticker.brake(k + 1)
 
     def follow_up(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Event]:
-        """Handle the completed tick k and return events.
+        """Handle the completed tick k of any motion, and return events to log if the motion changes.
 
-        Events occur only if the motion changes.
+        On the itinerary, the run is watched for a lap's end and caught at an earlier place. On a flight, it arrives or
+        the flight is replaced. While the cart brakes, a flight is requested and then followed.
 
         Args:
             k: tick.
@@ -398,15 +432,15 @@ class FallRecovery:
                 return self._arrive_at_goal(k, report, ticker)
             self._check(k, report, ticker)
             return ()
-        over = k + 2 == ticker.began + ticker.count
+        braking_ends = k + 2 == ticker.began + ticker.count
         if not self._reliable:
             self._hold_still(k, report, ticker, period)
-            if (reliable := self._is_reliable(k, report, ticker, period)) or over:
+            if (reliable := self._is_reliable(k, report, ticker, period)) or braking_ends:
                 self._brake(k, ticker, still=not reliable)
             return ()
         if k == self._answers:
             return self._fly(k, report, ticker)
-        if over:
+        if braking_ends:
             self._brake(k, ticker)
         elif k >= self._asks and self._answers == _NEVER:
             self._goal = -1 if self._tries % (_TRIES + 1) == _TRIES else self._stop
@@ -414,19 +448,28 @@ class FallRecovery:
         return ()
 
     def _ask(self, k: int, report: Report, ticker: Ticker, *, course: Course | None = None) -> None:
-        """Ask for a flight from the state after some time of braking, or of the present flight."""
+        """Request a flight from the pilot, whose answer is read after the time for a search.
+
+        Args:
+            k: the completed tick.
+            report: report of the tick, with the state at which the next command acts.
+            ticker: ticker of the run.
+            course: flight under way, which the answer replaces if it misses its goal; None for a flight from the
+                braking cart.
+        """
         program, model = ticker.program, self._plan.model
         ticks = max(round(self._thinking / model.period), 1)
         self._answers = k + ticks
-        means, drive = program.pending_accelerations()
-        mean = means[-1].item(0) if means else report.acting.item(0)
-        state = model.step(report.ahead[:, 0], mean)
+        accelerations, drive_acceleration = program.pending_accelerations()
+        acceleration = accelerations[-1].item(0) if accelerations else report.acting.item(0)
+        # The next command is decided already, so the first free one acts a tick later.
+        state = model.step(report.ahead[:, 0], acceleration)
         if course is None:
             ticker.correct_velocity(state[-1])
         self._plan.pilot.ask(
             Request(
                 state,
-                drive.item(0),
+                drive_acceleration.item(0),
                 ticks,
                 ticker.lead,
                 self._goal,
@@ -438,7 +481,7 @@ class FallRecovery:
         )
 
     def _fly(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
-        """Follow the flight from tick k + 1, or ask again."""
+        """Follow the pilot's flight from tick k + 1 and return its event, or request another one if there is none."""
         answer = self._plan.pilot.answer()
         if answer is None or answer.course is None:
             # A late answer is for a state that has passed; a slow processor gets more time.
@@ -452,14 +495,18 @@ class FallRecovery:
         return [_event("info", FLIGHT, Cause.FLOWN, {**self._progress(), **self._stop_figures(), **duration})]
 
     def _follow(self, k: int, course: Course, ticker: Ticker) -> None:
-        """Follow a flight from tick k + 1 on."""
+        """Let the ticker follow the flight `course` from tick k + 1 on, with the supervisor's usual bounds."""
         law = padded(course.law.schedule(ticker.lead), self._plan.gains)
         ticker.follow(k + 1, ScheduledController(law, "flight"), lift=np.zeros(self._arms), bounds=self._bounds)
         self.motion, self._course = Motion.FLIGHT, course
         self._joins, self._answers = k + 1 + course.law.ticks, _NEVER
 
     def _check(self, k: int, report: Report, ticker: Ticker) -> None:
-        """Replace the present flight if it is going to miss its place, unless it is nearly over."""
+        """Replace the flight under way if it is going to miss its place at the goal, unless it is nearly over.
+
+        The pilot simulates the rest of the flight from the present state, and answers with a new flight only if it is
+        needed.
+        """
         if k == self._answers:
             self._answers = _NEVER
             if (answer := self._plan.pilot.answer()) is not None and answer.course is not None:
@@ -468,24 +515,27 @@ class FallRecovery:
             self._ask(k, report, ticker, course=self._course)
 
     def _stop_figures(self) -> Mapping[str, Any]:
-        """Return number and name of the stop that the flight leads to, none for rest."""
+        """Return number and name of the stop that the flight leads to for an event, none for rest."""
         return {"stop": self._goal + 1, "stop_name": self._plan.names[self._goal]} if self._goal >= 0 else {}
 
     def _arrive_at_goal(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
-        """Resume the itinerary after a flight, or plan another one."""
+        """End a flight at tick k, and return events to log.
+
+        The run resumes the itinerary, waits at rest for a flight to a stop, or brakes for another flight after a miss.
+        """
         goal, place, n = self._plan.briefing.goals[self._goal], self._course.place, self._arms
-        away = report.state[:, 0] - goal.target.states[place]
-        turns = whole_turns(away[:n])
-        away[:n] -= turns
-        if not away @ goal.target.costs[place] @ away < JOINED:
+        difference = report.state[:, 0] - goal.target.states[place]
+        turns = whole_turns(difference[:n])
+        difference[:n] -= turns
+        if not difference @ goal.target.costs[place] @ difference < JOINED:
             self._tries += 1
             self._brake(k, ticker)
             return [_event("warn", FLIGHT, Cause.MISSED, self._stop_figures())]
         if k + 1 == self._joins:
             gains = self._plan.rest if self._goal < 0 else self._plan.gains
             tick = round(float(goal.at[place]) / ticker.program.period)
-            onward = replace(gains, rows=gains.rows[tick:], references=gains.references[tick:])
-            ticker.follow(k + 1, ScheduledController(onward, self._main.kind), lift=turns, bounds=self._bounds)
+            remaining_gains = replace(gains, rows=gains.rows[tick:], references=gains.references[tick:])
+            ticker.follow(k + 1, ScheduledController(remaining_gains, self._main.kind), lift=turns, bounds=self._bounds)
         if self._goal < 0:
             if k + 1 >= self._joins + round(RESTING / ticker.program.period):
                 self._tries += 1
@@ -497,26 +547,28 @@ class FallRecovery:
         return [self._resumption()]
 
     def _catch(self, k: int, report: Report, ticker: Ticker, period: float) -> Sequence[Event]:
-        """Resume from an earlier place if the state is near it.
+        """Resume from an earlier place of the reference if the run is much nearer to it than to the present place.
 
-        The state must be far from the present place of the reference.
+        This avoids a fall, for example if an arm has not turned and is still near its orbit. The cost-to-go measures
+        the distance. The state must be far from the present place, and must have been near since the last catch. Events
+        to log are returned.
         """
         plan, reach, n = self._plan, self._plan.reach, self._arms
         state = report.state[:, 0]
         here = min(round((self._at / period + k - self._joins) / reach.every), len(reach.states) - 1)
-        own = reach.costs_at(state[None], here).item()
-        self._near = self._near or not own > _FAR
+        cost = reach.costs_at(state[None], here).item()
+        self._near = self._near or not cost > _FAR
         # Only after the run has been near again; otherwise it could be sent back repeatedly.
-        if not own > _FAR or not self._near:
+        if not cost > _FAR or not self._near:
             return ()
-        if (nearer := plan.earlier_place(state, here, own)) is None:
+        if (place_and_cost := plan.earlier_place(state, here, cost)) is None:
             return ()
-        place, least = nearer
-        back, tick = (here - place) * reach.every * period, place * reach.every + 1
+        place, least_cost = place_and_cost
+        time_back, tick = (here - place) * reach.every * period, place * reach.every + 1
         stop = max(
             (stop for stop, goal in enumerate(plan.briefing.goals[:-1]) if goal.at[0] <= tick * period), default=0
         )
-        if back > plan.period:
+        if time_back > plan.period:
             # A symbol, or a part of it, is repeated.
             if plan.attempts and self._attempts.get(stop, 0) + 2 > plan.attempts:
                 return ()
@@ -525,46 +577,46 @@ class FallRecovery:
         self._stop, self._at, self._joins, self._followed = stop, tick * period, k + 1, k
         self._near = self._arrives = False
         turns = whole_turns(state[:n] - reach.states[place, :n])
-        rest = replace(plan.gains, rows=plan.gains.rows[tick:], references=plan.gains.references[tick:])
-        ticker.follow(k + 1, ScheduledController(rest, self._main.kind), lift=turns, bounds=self._bounds)
-        figures = {**self._progress(), "back": back, "least": least, "here": own}
+        remaining_gains = replace(plan.gains, rows=plan.gains.rows[tick:], references=plan.gains.references[tick:])
+        ticker.follow(k + 1, ScheduledController(remaining_gains, self._main.kind), lift=turns, bounds=self._bounds)
+        figures = {**self._progress(), "back": time_back, "least": least_cost, "here": cost}
         return [_event("warn", CATCH, Cause.JOINED, figures)]
 
     def _hold_still(self, k: int, report: Report, ticker: Ticker, period: float) -> None:
-        """Brake a stopped cart that drifts.
+        """Brake a stopped cart that drifts, because a drive does not follow commands exactly.
 
-        A drive does not follow commands exactly. The cart's scale gives the drift; a stuck scale reports no motion.
+        The cart's scale gives the drift; a stuck scale reports no motion.
         """
-        seen, where = self._seen
-        since = (k - seen) * period
-        if since < _LOOKS:
+        last_tick, last_position = self._seen
+        elapsed = (k - last_tick) * period
+        if elapsed < _LOOKS:
             return
         cart = ticker.program.reading.measured[-1, 0].item()
-        self._seen, drift = (k, cart), (cart - where) / since
-        if since < 2 * _LOOKS and report.done.item(0) and abs(drift) > _DRIFTS:
+        self._seen, drift = (k, cart), (cart - last_position) / elapsed
+        if elapsed < 2 * _LOOKS and report.done.item(0) and abs(drift) > _DRIFTS:
             # Braking continues from the measured velocity instead of the commanded one.
             ticker.correct_velocity(drift)
 
     def _is_reliable(self, k: int, report: Report, ticker: Ticker, period: float) -> bool:
-        """True if the cart is still and the filter is right.
+        """Return True if the cart is still and the filter agrees with the readings, so that a flight can be planned.
 
-        The filter must agree with the readings again.
+        An estimate that is wrong again restarts the filter and the observation time.
         """
         # Arms at rest give constant readings, like a stuck sensor. After a time limit, the sensor is used again.
-        since = k - self._began
-        stuck = (
+        ticks = k - self._began
+        is_stuck = (
             self._why is Cause.STUCK
-            and since * period < _STUCK
-            and ticker.program.memory.same[self._sensor - 1, 0] >= since
+            and ticks * period < _STUCK
+            and ticker.program.memory.same[self._sensor - 1, 0] >= ticks
         )
-        lost = not report.mean_nis.item(0) <= ticker.program.numbers.lost_estimate.item(0)
-        if stuck or lost or report.silent.item(0):
+        is_lost = not report.mean_nis.item(0) <= ticker.program.numbers.lost_estimate.item(0)
+        if is_stuck or is_lost or report.silent.item(0):
             self._lost_at = k
             ticker.lose()
         return bool(report.done.item(0)) and (k - self._lost_at) * period >= _TRIED
 
     def ended(self, k: int, ticker: Ticker) -> Sequence[Event]:
-        """Continue after the reference ends with tick k: repeat it, or return if the last stop was not held until then.
+        """Continue after the reference ends with tick k: repeat it, or recover if the last stop was not held.
 
         Args:
             k: tick.
@@ -577,13 +629,17 @@ class FallRecovery:
             return ()
         if self.until:
             return self._end_lap(k, ticker.references[-1], ticker)
-        away = self._plan.distance(self._latest, ticker.references[-1, : self._arms])
-        if away <= _HELD:
+        distance = self._plan.distance(self._latest, ticker.references[-1, : self._arms])
+        if distance <= _HELD:
             return ()
-        return self.fell(k, Cause.NOT_HELD, {"away": away}, ticker, ticker.program.period) or ()
+        return self.fell(k, Cause.NOT_HELD, {"away": distance}, ticker, ticker.program.period) or ()
 
     def _end_lap(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
-        """Begin another repetition after tick k, with the reference at `state` (N,)."""
+        """Begin another repetition of the itinerary after tick k, and return its events.
+
+        If the reference's state `state` (N,) matches the first one, the itinerary continues at once; otherwise a flight
+        leads to its start.
+        """
         self._lap, self._begins = self._lap + 1, True
         self._good = math.inf
         # A run is judged by its last repetition.
@@ -591,10 +647,10 @@ class FallRecovery:
         self._attempts.clear()
         self._stop, self._at, self._joins = 0, 0.0, k + 1
         first, n = self._main.first_state, self._arms
-        apart = state - first
-        turns = whole_turns(apart[:n])
-        apart[:n] -= turns
-        if np.abs(apart).max() <= _MEETS:
+        difference = state - first
+        turns = whole_turns(difference[:n])
+        difference[:n] -= turns
+        if np.abs(difference).max() <= _MEETS:
             ticker.follow(k + 1, self._main, lift=turns, bounds=self._bounds)
             self._followed, self._arrives = k, False
             return [self._resumption()]
@@ -615,7 +671,9 @@ class Departures:
         self._plan, self._near, self._latest = plan, np.zeros(runs, dtype=bool), plan.empty_record()
 
     def lanes(self, k: int, report: Report, ticker: Ticker) -> NDArray[np.bool_]:
-        """Return True (S,) for runs that run away, that are nearer to an earlier place, or that missed the last stop.
+        """Return True (S,) for runs in which a recovery would act at tick k, which must leave the lockstep.
+
+        Their cart runs away, they are nearer to an earlier place of the reference, or they missed the last stop.
 
         Args:
             k: tick.
@@ -630,21 +688,22 @@ class Departures:
             here = min(round(k / plan.reach.every), len(plan.reach.states) - 1)
             costs = plan.reach.costs_at(states.T, here)
             far = costs > _FAR
+            # As in `FallRecovery`, a run is caught only after it has been near its reference.
             self._near |= ~far
             for lane in np.flatnonzero(far & self._near & ~departs).tolist():
                 departs[lane] = plan.earlier_place(states[:, lane], here, costs.item(lane)) is not None
         if k + 1 == ticker.count:
-            seen, end = np.array(self._latest), references[-1, :arms]
+            recorded, end = np.array(self._latest), references[-1, :arms]
             for lane in np.flatnonzero(~departs).tolist():
-                departs[lane] = not plan.distance([*seen[:, :, lane]], end) <= _HELD
+                departs[lane] = not plan.distance([*recorded[:, :, lane]], end) <= _HELD
         return departs
 
 
 def meeting_tick(references: Array, ticks: int) -> int | None:
-    """Return the last tick that matches the first, or None.
+    """Return the last tick of a reference whose state matches the first one, or None.
 
-    Only the last `ticks` are searched, and whole turns are ignored. Several matches of similar quality give the last of
-    them.
+    A repeated itinerary continues there without a flight. Only the last `ticks` are searched, and whole turns are
+    ignored. Several matches of similar quality give the last of them.
 
     Args:
         references: reference states (K, N), rad, rad/s, m and m/s.
@@ -652,8 +711,8 @@ def meeting_tick(references: Array, ticks: int) -> int | None:
     """
     n = references.shape[1] // 2 - 1
     first = max(len(references) - ticks, len(references) // 2)
-    apart = references[first:] - references[0]
-    apart[:, :n] -= whole_turns(apart[:, :n])
-    distances = np.abs(apart).max(axis=1)
-    good = np.flatnonzero(distances <= max(1.2 * distances.min(), _MEETS / 10))
-    return first + int(good[-1]) if distances.min() <= _MEETS else None
+    differences = references[first:] - references[0]
+    differences[:, :n] -= whole_turns(differences[:, :n])
+    distances = np.abs(differences).max(axis=1)
+    matches = np.flatnonzero(distances <= max(1.2 * distances.min(), _MEETS / 10))
+    return first + int(matches[-1]) if distances.min() <= _MEETS else None

@@ -49,17 +49,14 @@ class Rig(UserRig, Protocol):
 
     @property
     def truth(self) -> Array | None:
-        """Return the true state (2n+2,), or None if it is unknown.
+        """Return the true state (2n+2,) at the last reading's tick, or None if it is unknown.
 
-        The true state is the state at the last reading's tick.
+        A simulated bench knows it. Logs and scores use it, the loop does not.
         """
 
     @property
     def fault(self) -> Event | None:
-        """Return the event of a bench's failure, or None.
-
-        An example is the end of its track.
-        """
+        """Return the event of a bench's failure, such as the end of its track, or None."""
 
 
 CONTROL_HEAD = 7
@@ -227,7 +224,9 @@ class Ticks(Brief):
     def empty(
         cls, count: int, arms: int, *, has_truth: bool, period: float, extras: int = 0, first: int = 0
     ) -> "Ticks":
-        """Return room for ticks.
+        """Return arrays for K ticks that are not yet written.
+
+        Estimates, control and extras share one array, so that the report of a tick is written in one copy.
 
         Args:
             count: number of ticks.
@@ -250,27 +249,27 @@ class Ticks(Brief):
 
     @classmethod
     def joined(cls, parts: "Sequence[Ticks]") -> "Ticks":
-        """Return the concatenation of parts, or the only part.
+        """Return successive blocks of one run as one, or the only block without a copy.
 
         Args:
-            parts: successive ticks of one run.
+            parts: blocks of ticks, in order.
         """
         if len(parts) == 1:
             return parts[0]
 
-        def whole(name: str) -> Array | None:
-            rows = [getattr(part, name) for part in parts]
-            return None if rows[0] is None else np.concatenate(rows)
+        def joined_array(name: str) -> Array | None:
+            arrays = [getattr(part, name) for part in parts]
+            return None if arrays[0] is None else np.concatenate(arrays)
 
         names = ("times", "measured", "estimates", "references", "truth", "control")
-        return cls(*(whole(name) for name in names), extras=whole("extras"))  # type: ignore[arg-type]
+        return cls(*(joined_array(name) for name in names), extras=joined_array("extras"))  # type: ignore[arg-type]
 
     def take(self, k: int, reading: Reading, logged: Array, truth: Array | None, reference: Array) -> None:
-        """Write tick k.
+        """Write tick k of a run into its row.
 
         Args:
-            k: tick.
-            reading: reading of the tick.
+            k: row of the tick.
+            reading: reading of the tick, whose missing positions become NaN.
             logged: the report's part in a log, see `TickProgram.logged`.
             truth: true state (N,), None if unknown.
             reference: reference state (N,).
@@ -286,13 +285,13 @@ class Ticks(Brief):
         packed[k] = logged
 
     def take_block(self, rows: slice, measured: Array, logged: Array, truth: Array, references: Array) -> None:
-        """Write a block of K ticks.
+        """Write a block of K ticks that `Blocks` has computed into rows.
 
         Args:
-            rows: their rows.
+            rows: rows of these ticks.
             measured: readings (K, n+1), NaN where missing.
-            logged: the reports (K, M), of which the first columns are logged.
-            truth: true states (K, N), of which the first columns are logged.
+            logged: reports (K, M), whose first columns are logged.
+            truth: states of the plant (K, N), whose first columns are the true states.
             references: reference states (K, N).
         """
         packed, states = self.packed, self.truth
@@ -302,7 +301,7 @@ class Ticks(Brief):
         packed[rows], states[rows] = logged[:, : packed.shape[1]], truth[:, : states.shape[1]]
 
     def between(self, first: int, end: int) -> "Ticks":
-        """Return a range of ticks, sharing memory.
+        """Return a range of ticks, sharing memory: the rows that a sink has not yet received, or those of a result.
 
         Args:
             first: first row.
@@ -338,7 +337,7 @@ class LoopSink:
 
 
 class Events(LoopSink):
-    """Stores events; the result holds every tick."""
+    """A sink that stores the events of a run in `kept`; the result holds every tick."""
 
     def __init__(self) -> None:
         self.kept: list[Event] = []
@@ -405,25 +404,27 @@ class LoopResult(Ended):
 
     @property
     def real_time_factor(self) -> float:
-        """Return simulated over elapsed time."""
+        """Simulated duration of the run over the computing time."""
         times = self.ticks.times
         period = float(times[1]) if len(times) > 1 else 0.0
         return (float(times[-1]) + period) / max(self.elapsed, 1e-9)
 
 
 def inside_95(nis: Array, freedom: int) -> float:
-    """Return the share of NIS in its two-sided 95 % band.
+    """Return the share of NIS values in their two-sided 95 % band, which is about 0.95 for a consistent filter.
+
+    The degrees of freedom are the number of measured positions.
 
     Args:
         nis: NIS (K,), NaN where unknown.
         freedom: number of measured positions.
     """
-    known = nis[np.isfinite(nis)]
-    return share_inside(known, freedom) if known.size else math.nan
+    finite = nis[np.isfinite(nis)]
+    return share_inside(finite, freedom) if finite.size else math.nan
 
 
 def sensors_of(measured: Array) -> int:
-    """Return the number of positions that a run measures.
+    """Return the number of positions that a run measures, the degrees of freedom of its NIS.
 
     Args:
         measured: readings (K, n+1), NaN where missing.
@@ -432,7 +433,7 @@ def sensors_of(measured: Array) -> int:
 
 
 def rms(values: Array) -> float:
-    """Return the root mean square.
+    """Return the root mean square of all values.
 
     Args:
         values: values of any shape.
@@ -442,12 +443,18 @@ def rms(values: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class BatchRun(Ended):
-    """One run of K ticks and the data that judge it.
+    """One run of K ticks with the data from which it is scored, without readings and estimates.
 
-    Units are SI.
-
-    times (K,). truth (K, 2n+2). references (K, n): angles. applied (K,). departed: True for a run that is only known
-    until its recovery would act. Others: see `LoopResult`.
+    Attributes:
+        times: times (K,), s.
+        truth: true states (K, 2n+2).
+        references: reference angles (K, n), rad.
+        applied: accelerations (K,) of the cart, m/s².
+        nis_inside_95: share of NIS values in their 95 % band.
+        rms_feedback: root mean square of the feedback, m/s².
+        stretches: intervals on the itinerary, see `LoopResult`.
+        hardest: largest acceleration of the drive, m/s².
+        departed: True for a run that is only known until its recovery would act.
     """
 
     times: Array
@@ -462,7 +469,7 @@ class BatchRun(Ended):
 
     @classmethod
     def of(cls, result: LoopResult) -> "BatchRun":
-        """Convert the result of a loop.
+        """Return the data from which a run is scored, from the result of a loop that ran it alone.
 
         Args:
             result: result of a loop with true states.
@@ -470,6 +477,7 @@ class BatchRun(Ended):
         ticks = result.ticks
         assert ticks.truth is not None
         angles = ticks.references[:, : ticks.measured.shape[1] - 1]
+        # Columns of `control`: 2 the feedback, 3 the applied acceleration, m/s², 5 the NIS.
         return cls(
             result.end, ticks.times, ticks.truth, angles, ticks.control[:, 3],
             inside_95(ticks.control[:, 5], sensors_of(ticks.measured)), rms(ticks.control[:, 2]), result.stretches,
@@ -482,12 +490,16 @@ _TURN = 32
 
 
 class JudgedTicks:
-    """Data that judge S runs while they are computed.
+    """The ticks of S runs in lockstep, stored while they are computed, with the data from which runs are scored.
 
-    Runs have up to K ticks.
+    Args:
+        count: largest number of ticks of a run.
+        runs: number S of runs.
+        arms: number n of arms.
     """
 
     def __init__(self, count: int, runs: int, arms: int) -> None:
+        """Allocate room for all ticks of all runs; `_latest` holds states that are not yet transposed."""
         n = 2 * arms + 2
         # A run's states are contiguous because they are read run by run.
         self._truth, self._latest = np.empty((runs, count, n)), np.empty((_TURN, n, runs))
@@ -496,22 +508,24 @@ class JudgedTicks:
         self._freedom = arms + 1
 
     def take(self, k: int, report: Report, truth: Array) -> None:
-        """Store tick k.
+        """Store the states, accelerations, feedback and NIS of tick k of all runs.
+
+        States are collected for `_TURN` ticks, then transposed to be contiguous for each run.
 
         Args:
             k: tick.
             report: its report, parts (length, S).
             truth: true states (N, S).
         """
-        turn = k % _TURN
-        self._latest[turn] = truth
+        row = k % _TURN
+        self._latest[row] = truth
         self._done = k + 1
-        if turn == _TURN - 1:
-            self._truth[:, k - turn : k + 1] = self._latest.transpose(2, 0, 1)
+        if row == _TURN - 1:
+            self._truth[:, k - row : k + 1] = self._latest.transpose(2, 0, 1)
         self._applied[k], self._feedback[k], self._nis[k] = report.acting[0], report.feedback[0], report.nis[0]
 
     def without_nis(self, k: int, lane: int) -> None:
-        """Clear the NIS of a tick because the filter restarts.
+        """Clear the NIS of a tick at which the filter restarts, because its innovation has no meaning.
 
         Args:
             k: tick.
@@ -529,24 +543,24 @@ class JudgedTicks:
         period: float,
         end: Event,
     ) -> BatchRun:
-        """Return the stored ticks of one run, with its figures.
+        """Return the stored ticks of one run with its figures, once it has ended.
 
         Args:
             lane: number of the run.
-            count: number of ticks.
-            references: reference angles (K, n), rad.
-            still_from: tick of a stop, from which the references are constant.
+            count: number of ticks until its end.
+            references: reference angles (K, n), rad, of all ticks.
+            still_from: tick at which its cart was stopped, from which the references are constant.
             period: time between ticks, s.
             end: event of its end.
         """
-        rest, count = self._done % _TURN, min(count, self._done)
-        self._truth[lane, self._done - rest : self._done] = self._latest[:rest, :, lane]
-        wanted = references[:count].copy()
+        pending, count = self._done % _TURN, min(count, self._done)
+        self._truth[lane, self._done - pending : self._done] = self._latest[:pending, :, lane]
+        reference_angles = references[:count].copy()
         if still_from < count:
-            wanted[still_from:] = wanted[still_from]
+            reference_angles[still_from:] = reference_angles[still_from]
         times = np.asarray(np.arange(count) * period, dtype=np.float64)
         return BatchRun(
-            end, times, self._truth[lane, :count], wanted, self._applied[:count, lane].copy(),
+            end, times, self._truth[lane, :count], reference_angles, self._applied[:count, lane].copy(),
             inside_95(self._nis[:count, lane], self._freedom), rms(self._feedback[:count, lane]),
         )  # fmt: skip
 
@@ -558,7 +572,7 @@ class LogSink(LoopSink):
         self._writer = writer
 
     def ticks(self, rows: Ticks) -> None:
-        """Write the next ticks.
+        """Write the next ticks to the log, with the extras if the log has room for them.
 
         Args:
             rows: next ticks.
@@ -578,9 +592,7 @@ class LogSink(LoopSink):
 
 
 class SinkBeside(LoopSink):
-    """Passes ticks and events to another sink in a thread.
-
-    So a slow disk does not delay a loop in real time.
+    """Passes ticks and events to another sink in a thread, so that a slow disk does not delay a loop in real time.
 
     The context manager waits for pending rows. An error in the thread is raised with later rows or at the end.
     """
@@ -600,7 +612,7 @@ class SinkBeside(LoopSink):
             self._look()
 
     def ticks(self, rows: Ticks) -> None:
-        """Write the next ticks.
+        """Pass the next ticks to the sink's thread, which writes them later.
 
         Args:
             rows: next ticks.
@@ -609,7 +621,7 @@ class SinkBeside(LoopSink):
         self._under_way.append(self._thread.submit(self._sink.ticks, rows))
 
     def event(self, event: Event) -> None:
-        """Write one event.
+        """Pass one event to the sink's thread, which writes it later.
 
         Args:
             event: the event.
@@ -618,5 +630,6 @@ class SinkBeside(LoopSink):
         self._under_way.append(self._thread.submit(self._sink.event, event))
 
     def _look(self) -> None:
+        """Raise the error of a finished transfer, and forget finished transfers."""
         while self._under_way and self._under_way[0].done():
             self._under_way.popleft().result()

@@ -34,23 +34,24 @@ from dpcontrol.references.problem import Limits
 
 
 class Encoders:
-    """Relative encoders of the joints and the cart's scale.
-
-    They have faults during a run.
+    """Simulated sensors: relative encoders of the joints and the cart's scale, with their faults during a run.
 
     Lost counts and stuck sensors require a single run.
 
     Args:
+        arms: number n of arms.
+        settings: resolution and faults.
         zeros: zero errors (n,) or (n, S) of the encoders, rad.
         drift: drift (n,) or (n, S) of the zero errors, rad/s.
         lanes: `ONE` run or `MANY`.
-        places: indices in the state that replace the measured joints and cart.
+        places: indices in the state that replace the measured joints and cart, such as those of an encoder with play.
     """
 
     def __init__(
         self, arms: int, settings: SensorSettings, *, zeros: Array | None = None, drift: Array | None = None,
         lanes: Lanes = ONE, places: Mapping[int, int] = MappingProxyType({}),
     ) -> None:  # fmt: skip
+        """Begin with no lost counts (`_missed`) and no stuck value (`_stuck`)."""
         self.settings = settings
         self._arms, self._lanes = arms, lanes
         self._places, self._cart_place = [places.get(k) for k in range(arms)], places.get(arms, 2 * arms)
@@ -80,49 +81,53 @@ class Encoders:
             noise: noise (n+1,) added to the relative angles, rad, and to the cart, m.
         """
         # For arrays this short, plain floats take a third of the time of numpy calls.
-        steps, arms, nearest = self._steps, self._arms, self._lanes.rounded
-        lost, added = self._missed, None if noise is None else self._lanes.rows(noise)
+        steps, arms, rounded = self._steps, self._arms, self._lanes.rounded
+        lost_counts, added_noise = self._missed, None if noise is None else self._lanes.rows(noise)
         if missed is not None:
             self._miss(state, missed.tolist())
         readings: list[Any] = []
-        inner: Any = 0.0
+        inner_angle: Any = 0.0
         zeros, drift = self.zeros, self.drift
         if drift is not None:
             zeros = [zero + rate * time for zero, rate in zip(zeros, drift, strict=True)]
         for k, (zero, step) in enumerate(zip(zeros, steps, strict=True)):
-            outer, own = state[k], self._places[k]
-            value = (outer - inner if own is None else state[own]) + zero
-            inner = outer
-            if added is not None:
-                value += added[k]
-            readings.append(step * (nearest(value / step) - lost[k]) if step else value)
-        cart = state[self._cart_place] if added is None else state[self._cart_place] + added[arms]
-        readings.append(self._cart * nearest(cart / self._cart) if self._cart else cart)
+            angle, place = state[k], self._places[k]
+            joint = (angle - inner_angle if place is None else state[place]) + zero
+            inner_angle = angle
+            if added_noise is not None:
+                joint += added_noise[k]
+            readings.append(step * (rounded(joint / step) - lost_counts[k]) if step else joint)
+        cart = state[self._cart_place] if added_noise is None else state[self._cart_place] + added_noise[arms]
+        readings.append(self._cart * rounded(cart / self._cart) if self._cart else cart)
         if self._stuck_at <= time < self._stuck_until:
-            which = self.settings.stuck_sensor
+            sensor = self.settings.stuck_sensor
             if self._stuck is None:
-                self._stuck = readings[which]
-            readings[which] = self._stuck
+                self._stuck = readings[sensor]
+            readings[sensor] = self._stuck
         for k in range(1, arms):
             readings[k] += readings[k - 1]
         return np.array(readings)
 
     def zeros_at(self, times: Array) -> Array:
-        """Return the zero errors (K, n) at times (K,), s."""
+        """Return the zero errors (K, n) of the encoders at times (K,), s, which grow by their drift, rad."""
         zeros = np.broadcast_to(self.zeros, (len(times), self._arms))
         return zeros if self.drift is None else zeros + times[:, None] * np.array(self.drift)
 
     def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
-        """Lose counts against the motion of each joint.
+        """Lose counts against the motion of each joint, as an encoder does that misses edges of its pulses.
 
         A joint at rest loses none.
+
+        Args:
+            state: true state (2n+2,).
+            missed: counts (n,) that moving joints lose in this tick.
         """
-        inner = 0.0
-        for k, lost in enumerate(missed):
-            outer = state[self._arms + k]
-            if lost and outer != inner:
-                self._missed[k] += lost if outer > inner else -lost
-            inner = outer
+        inner_rate = 0.0
+        for k, count in enumerate(missed):
+            rate = state[self._arms + k]
+            if count and rate != inner_rate:
+                self._missed[k] += count if rate > inner_rate else -count
+            inner_rate = rate
 
 
 _SWITCHES, _HALVINGS = 8, 24
@@ -130,48 +135,68 @@ _SWITCHES, _HALVINGS = 8, 24
 
 
 class ModalStep:
-    """A plant's step, split at mode changes of its components.
+    """A plant's step, split at mode changes of its components, such as a joint that sticks or slides.
 
-    It serves one or many lanes.
+    Each lane changes its mode at its own time, so a step serves one or many lanes.
+
+    Args:
+        step: the plant's step in constant modes.
+        modes: choice of the modes for a state.
+        single: True for one lane.
     """
 
     def __init__(self, step: Compiled, modes: Compiled, *, single: bool) -> None:
-        self._step, self._choose = (one.single if single else one.machine for one in (step, modes))
+        self._step, self._choose = (function.single if single else function.machine for function in (step, modes))
         self._state, self._duration = step.slices["state"], step.slices["duration"].start
         inputs = step.slices["inputs"]
         self._modes, self._size = slice(inputs.stop - modes.size_out, inputs.stop), step.size_out
 
     def __call__(self, inputs: Array, out: Array) -> None:
-        """Write the states (N, S) that follow `inputs` (M, S)."""
-        n, work, found = len(out), inputs.copy(), np.empty((self._size, inputs.shape[1]))
-        chosen, left = np.empty((self._modes.stop - self._modes.start, inputs.shape[1])), work[self._duration].copy()
+        """Write the states (N, S) at the end of a step into `out`.
 
-        def flown(duration: Array) -> NDArray[np.bool_]:
-            work[self._duration] = duration
-            self._step(work, found)
-            return found[n:].min(axis=0) < 0
+        Each pass advances all lanes to their next mode change, whose time is found by bisection, or to the end of the
+        step.
+
+        Args:
+            inputs: state, duration, inputs and parameters (M, S) of the step.
+            out: array (N, S) for the states.
+        """
+        n, step_inputs, step_outputs = len(out), inputs.copy(), np.empty((self._size, inputs.shape[1]))
+        modes, remaining = (
+            np.empty((self._modes.stop - self._modes.start, inputs.shape[1])),
+            step_inputs[self._duration].copy(),
+        )
+
+        def advance(duration: Array) -> NDArray[np.bool_]:
+            """Advance all lanes by `duration` (S,), s, and return True (S,) where a mode changes in that time.
+
+            Rows of the step's output after the N states are negative once a mode no longer holds.
+            """
+            step_inputs[self._duration] = duration
+            self._step(step_inputs, step_outputs)
+            return step_outputs[n:].min(axis=0) < 0
 
         for k in range(_SWITCHES):
-            self._choose(work, chosen)
-            work[self._modes] = chosen
-            beyond, taken = flown(left), left
-            if k < _SWITCHES - 1 and np.logical_or.reduce(beyond):
-                within, taken = np.zeros(len(left)), left.copy()
+            self._choose(step_inputs, modes)
+            step_inputs[self._modes] = modes
+            changes, elapsed = advance(remaining), remaining
+            if k < _SWITCHES - 1 and np.logical_or.reduce(changes):
+                before_change, elapsed = np.zeros(len(remaining)), remaining.copy()
                 for _ in range(_HALVINGS):
-                    middle = (within + taken) / 2
-                    passed = flown(np.where(beyond, middle, left))
-                    taken[beyond & passed] = middle[beyond & passed]
-                    within[beyond & ~passed] = middle[beyond & ~passed]
-                flown(taken)
-            work[self._state] = found[:n]
-            left = left - taken
-            if not left.any():
+                    middle = (before_change + elapsed) / 2
+                    changed = advance(np.where(changes, middle, remaining))
+                    elapsed[changes & changed] = middle[changes & changed]
+                    before_change[changes & ~changed] = middle[changes & ~changed]
+                advance(elapsed)
+            step_inputs[self._state] = step_outputs[:n]
+            remaining = remaining - elapsed
+            if not remaining.any():
                 break
-        out[:] = work[self._state]
+        out[:] = step_inputs[self._state]
 
 
 class SimulatedPlant:
-    """Arms, cart and drive between ticks, with hard stops at ±track m.
+    """Arms, cart and drive between ticks, with hard stops at ±track m, of one run or of S runs in lockstep.
 
     An instance must not be shared between threads.
 
@@ -182,6 +207,7 @@ class SimulatedPlant:
     """
 
     def __init__(self, plants: list[PlantParameters], state: Array, *, track: float) -> None:
+        """Compile the plant's step, and allocate its inputs, whose rows hold state, duration, demand and parameters."""
         first = plants[0]
         self.plants, self.track = plants, track
         self.faults: dict[int, Event] = {}
@@ -198,10 +224,10 @@ class SimulatedPlant:
         size = step.slices["state"].stop
         self._inputs, following = np.zeros((step.size_in, lanes)), np.zeros((size, lanes))
         self._flown, self._following = following, following if many else following[:, 0]
-        self._inputs[step.slices["parameters"]] = np.array([p.numbers() for p in plants]).T
+        self._inputs[step.slices["parameters"]] = np.array([plant.numbers() for plant in plants]).T
         self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
         self.cart, self.motor, self.lag = 2 * first.arms.count, first.motor, first.lag
-        self.longest, self._lasts = min(longest_step(p) for p in plants), 0.0
+        self.longest, self._lasts = min(longest_step(plant) for plant in plants), 0.0
         self.whole_step = step if modes is None else None
         """The step, if it needs no split at changes of modes."""
         self._states: Array = self._inputs[step.slices["state"]]
@@ -212,22 +238,24 @@ class SimulatedPlant:
         self.set_state(state)
 
     def set_state(self, state: Array) -> None:
-        """Replace the states (N,) or (N, S)."""
+        """Replace the state (N,) of one run, or the states (N, S) of many, for example after a blow."""
         self._states[:] = state if self._many else state[:, None]
         if not self._many:
             self.values = state.tolist()
 
     @property
     def loop_velocity(self) -> Any:
-        """The velocity reference w of the drive's loop, m/s.
+        """The velocity reference w of the drive's loop, m/s, which the drive keeps within its limit.
 
-        Without lag, the velocity of cart or motor.
+        Without lag, it is the velocity of the cart, or of the motor of a cart on a belt.
         """
-        v = self.values[self.motor + 1]
-        return v + self.lag * self.values[self.cart + 2] if self.lag else v
+        velocity = self.values[self.motor + 1]
+        return velocity + self.lag * self.values[self.cart + 2] if self.lag else velocity
 
     def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
-        """Advance the plant with a constant demand.
+        """Advance the plant with a constant demand, and stop a cart that reaches the end of its track.
+
+        A duration longer than the longest accurate step is split.
 
         Args:
             acceleration: demand of each run, m/s².
@@ -248,16 +276,16 @@ class SimulatedPlant:
             inputs[self._input] = acceleration
             step(inputs, self._flown)
             if many:
-                beyond = np.abs(following[cart]) > track
-                if np.logical_or.reduce(beyond):
+                at_stop = np.abs(following[cart]) > track
+                if np.logical_or.reduce(at_stop):
                     # Too rare to vectorise.
-                    for run in np.flatnonzero(beyond).tolist():
-                        alone = SimulatedPlant([self.plants[run]], self.state[:, run], track=track)
-                        lasts = np.broadcast_to(duration, beyond.shape)[run].item()
-                        begin = np.broadcast_to(time, beyond.shape)[run].item()
-                        alone.meet_stop(float(acceleration[run]), lasts, begin + k * lasts)
-                        self.faults.setdefault(run, alone.faults[0])
-                        following[:, run] = alone.state
+                    for run in np.flatnonzero(at_stop).tolist():
+                        single = SimulatedPlant([self.plants[run]], self.state[:, run], track=track)
+                        step_duration = np.broadcast_to(duration, at_stop.shape)[run].item()
+                        step_start = np.broadcast_to(time, at_stop.shape)[run].item()
+                        single.meet_stop(float(acceleration[run]), step_duration, step_start + k * step_duration)
+                        self.faults.setdefault(run, single.faults[0])
+                        following[:, run] = single.state
                 self.state[:] = following
                 continue
             values: list[Any] = following.tolist()
@@ -268,7 +296,7 @@ class SimulatedPlant:
                 self.values = values
 
     def replace_runs(self, runs: list[int], other: "SimulatedPlant") -> None:
-        """Replace some of many runs by those of a plant with the same settings.
+        """Replace some of many runs by those of a plant with the same settings, to begin new runs in their places.
 
         Args:
             runs: numbers of the runs.
@@ -281,63 +309,79 @@ class SimulatedPlant:
             self.faults.pop(run, None)
 
     def strike(self, blow: Blow, run: int = 0) -> None:
-        """Apply a blow to one run.
+        """Apply a blow to one run: impulses on the arms, jumps of their rates, a jump of the cart's velocity.
 
         Args:
             blow: impulses and jumps.
             run: number of the run, default 0.
         """
         state = self.state[:, run] if self._many else self.state
-        after = after_blow(self.plants[run], state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
+        struck = after_blow(self.plants[run], state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
         if self._many:
-            state[:] = after
+            state[:] = struck
         else:
-            self.set_state(after)
+            self.set_state(struck)
 
     def _flow(self, acceleration: float, duration: float) -> Array:
-        """Return the state of one run after `duration` s, which the next step overwrites."""
+        """Return the state (N,) of one run after `duration` s with a constant acceleration, without storing it.
+
+        The next step overwrites the array.
+        """
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
         self._lasts = duration
         self._machine(self._inputs, self._flown)
         return self._following
 
     def meet_stop(self, acceleration: float, duration: float, time: float) -> None:
-        """Move one run to a hard stop within `duration` s.
+        """Move one run onto a hard stop within `duration` s, and hold it there.
 
-        The cart stops and is held there.
+        The time of contact is found by bisection. The stop becomes the run's fault.
+
+        Args:
+            acceleration: demand, m/s².
+            duration: duration of the step, s.
+            time: time at the start of the step, s.
         """
         cart, track = self.cart, self.track
-        free, met = 0.0, duration
+        before_contact, after_contact = 0.0, duration
+        # Sixty bisections reach the precision of a double.
         for _ in range(60):
-            middle = (free + met) / 2
+            middle = (before_contact + after_contact) / 2
             if abs(self._flow(acceleration, middle).item(cart)) > track:
-                met = middle
+                after_contact = middle
             else:
-                free = middle
-        self.set_state(self._flow(acceleration, free))
+                before_contact = middle
+        self.set_state(self._flow(acceleration, before_contact))
         side, speed = math.copysign(1.0, self.values[cart]), self.values[cart + 1]
-        place = {"time": time + free, "position": side * track, "velocity": speed}
-        self.faults.setdefault(0, ended(Cause.HARD_STOP, place))
+        figures = {"time": time + before_contact, "position": side * track, "velocity": speed}
+        self.faults.setdefault(0, ended(Cause.HARD_STOP, figures))
         self._hold(side)
         # The drive does not push on against the stop.
-        self.set_state(self._flow(0.0, duration - free))
+        self.set_state(self._flow(0.0, duration - before_contact))
         if side * self.values[cart] > track:
             self._hold(side)
 
     def _hold(self, side: float) -> None:
-        """Hold cart and motor at the hard stop of one side, 1 or -1; the arms keep their momenta."""
-        none = np.zeros(self.plants[0].arms.count)
-        self.strike(Blow(none, none, -self.values[self.cart + 1]))
-        held = self.state.copy()
+        """Hold cart and motor at the hard stop of one side, 1 or -1; the arms keep their momenta.
+
+        A knock that cancels the cart's velocity gives the rates of the arms after the impact.
+        """
+        zeros = np.zeros(self.plants[0].arms.count)
+        self.strike(Blow(zeros, zeros, -self.values[self.cart + 1]))
+        state = self.state.copy()
         for place in (self.cart, self.motor):
-            held[place], held[place + 1] = side * self.track, 0.0
+            state[place], state[place + 1] = side * self.track, 0.0
         if self.lag:
-            held[self.cart + 2] = 0.0
-        self.set_state(held)
+            state[self.cart + 2] = 0.0
+        self.set_state(state)
 
 
 class DrawnTicks(NamedTuple):
-    """Random numbers of K ticks: command_noise (K,), noise (K, n+1), zeros (K, n) of the encoders, dropped (K,)."""
+    """Random numbers of K ticks for `Blocks`.
+
+    command_noise (K,), m/s². noise (K, n+1) of relative angles and cart, rad and m. zeros (K, n) of the encoders, rad.
+    dropped (K,): True for ticks without a reading.
+    """
 
     command_noise: Array
     noise: Array
@@ -346,30 +390,40 @@ class DrawnTicks(NamedTuple):
 
 
 _NEVER = (0, (math.inf, None))
-"""In place of a run, tick and blow if no blow follows."""
+"""Run, tick and blow that stand for the end of the blows: the tick is never reached."""
 
 
 def _of_runs(values: list[Array], lanes: Lanes) -> Array:
-    """Return values of runs, along the last axis if there are several."""
+    """Return values of runs as one array, along the last axis for many runs, or the value of the only run."""
     return np.stack(values, axis=-1) if lanes is MANY else values[0]
 
 
 def _first_states(draws: Sequence[BenchDraw], start: Array, demand: Any, lanes: Lanes) -> Array:
-    """Return the states (N,) or (N, S) of plants at the first reading, whose drives follow a demand, m/s²."""
+    """Return the states (N,) or (N, S) of plants at the first reading: the nominal start and the drawn errors.
+
+    Args:
+        draws: draw of each run.
+        start: nominal initial state (2n+2,), or (S, 2n+2) with one state per run.
+        demand: acceleration that the drive follows at the start, m/s², a number or (S,).
+        lanes: `ONE` run or `MANY`.
+    """
     plant, n = draws[0].plant, draws[0].plant.arms.count
     first = np.array(start if lanes is ONE else np.broadcast_to(start, (len(draws), 2 * n + 2)), dtype=float).T
     first[:n] += _of_runs([draw.initial_error for draw in draws], lanes)
     first[n : 2 * n] += _of_runs([draw.initial_rate for draw in draws], lanes)
     first[2 * n :] += _of_runs([draw.initial_cart for draw in draws], lanes)
     columns = zip(draws, first.reshape(2 * n + 2, -1).T, strict=True)
-    further = _of_runs([draw.plant.own_states(state) for draw, state in columns], lanes)
-    return np.concatenate([first, [demand], further] if plant.lag else [first, further])
+    component_states = _of_runs([draw.plant.own_states(state) for draw, state in columns], lanes)
+    return np.concatenate([first, [demand], component_states] if plant.lag else [first, component_states])
 
 
 class SimulatedBench:
     """Plants, sensors and drives with the same settings, one for each draw.
 
     Args:
+        draws: draw of each run.
+        settings: settings of all benches.
+        limits: the itinerary's limits, which apply where the drive has none.
         start: nominal initial state (2n+2,), to which each draw adds its error, or (S, 2n+2) with one state per run.
         queued: commands that are pending at the start, oldest first, m/s²; earlier ones are zero.
         lanes: `ONE` run or `MANY`.
@@ -379,28 +433,33 @@ class SimulatedBench:
         self, draws: Sequence[BenchDraw], settings: BenchSettings, *, limits: Limits, start: Array,
         queued: Sequence[Any] = (), lanes: Lanes = ONE,
     ) -> None:  # fmt: skip
+        """Begin before the first reading (tick -1), with the queued commands on their way to the drives.
+
+        `_demands` holds the demands in the order in which they act. `_sent_before` is the number of those sent before
+        the present period, and `_fraction` the part of the delay beyond whole periods.
+        """
         draw, n = draws[0], draws[0].plant.arms.count
 
         def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:
-            """Return values drawn for each tick, which a single run reads tick by tick."""
+            """Return a stream's numbers by tick, which a single run reads one by one; None for an unused stream."""
             if lanes is ONE:
                 return draw.reader(name, rows)
-            return _of_runs([d.drawn(name) for d in draws], lanes) if name in draw.streams else None
+            return _of_runs([run_draw.drawn(name) for run_draw in draws], lanes) if name in draw.streams else None
 
         self.period = draw.period
         """Period of the ticks, s."""
-        own = settings.drive.limits(limits)
+        bounds = settings.drive.limits(limits)
         self._drive = settings.drive.within(limits, draw.period, clip=lanes.clip)
         self._fails = {settings.drive.failure: settings.drive.failed_at}
-        self._switch_at = own.position - settings.drive.switch_margin
-        whole = math.floor(settings.drive.delay)
-        self._fraction = settings.drive.delay - whole
-        demands: list[Any] = [0.0 if lanes is ONE else np.zeros(len(draws))] * (whole + 1)
+        self._switch_at = bounds.position - settings.drive.switch_margin
+        whole_periods = math.floor(settings.drive.delay)
+        self._fraction = settings.drive.delay - whole_periods
+        demands: list[Any] = [0.0 if lanes is ONE else np.zeros(len(draws))] * (whole_periods + 1)
         for command in queued:
             demands.append(self._drive.demanded(command, 0.0, demands[-1]))
         # Ordered by the time they act: the second one begins to act in the coming period, which deletes the first.
-        self._demands = demands[-(whole + 1) :]
-        self._sent_before = whole + 1
+        self._demands = demands[-(whole_periods + 1) :]
+        self._sent_before = whole_periods + 1
         self._command_noise, self._noise = by_tick("command_noise"), by_tick("noise", np.asarray)
         self._missed, self._ages = draw.reader("missed", np.asarray), by_tick("ages")
         self._reports = settings.sensors.ages == "reported" and self._ages is not None
@@ -409,15 +468,15 @@ class SimulatedBench:
         self._encoders = Encoders(
             n,
             settings.sensors,
-            zeros=_of_runs([d.zeros for d in draws], lanes),
-            drift=_of_runs([d.drift for d in draws], lanes),
+            zeros=_of_runs([run_draw.zeros for run_draw in draws], lanes),
+            drift=_of_runs([run_draw.drift for run_draw in draws], lanes),
             lanes=lanes,
             places=draw.plant.reads,
         )
         first = _first_states(draws, start, self._demands[0], lanes)
         self._plant = (
-            SimulatedPlant([d.plant for d in draws], first, track=own.position) if draw.own is None
-            else OwnArms(draw.own, draw.plant, first, track=own.position)
+            SimulatedPlant([run_draw.plant for run_draw in draws], first, track=bounds.position) if draw.own is None
+            else OwnArms(draw.own, draw.plant, first, track=bounds.position)
         )  # fmt: skip
         self.truth: Array = self._plant.state[: 2 * n + 2]
         """The true state (2n+2,) or states (2n+2, S) at the last reading; the next reading overwrites it."""
@@ -428,14 +487,16 @@ class SimulatedBench:
         self._cart, self._tick = 2 * n, -1
         self._braking: Any = None
         self._off = False
-        known = (zip(repeat(run), sorted(d.blows.items(), key=itemgetter(0))) for run, d in enumerate(draws))
-        random = (zip(repeat(run), d.random_blows()) for run, d in enumerate(draws))
+        fixed_blows = (
+            zip(repeat(run), sorted(run_draw.blows.items(), key=itemgetter(0))) for run, run_draw in enumerate(draws)
+        )
+        random_blows = (zip(repeat(run), run_draw.random_blows()) for run, run_draw in enumerate(draws))
         # In order of the ticks, first the known ones.
-        self._blows: Iterator[Any] = merge(*known, *random, key=lambda one: one[1][0])
+        self._blows: Iterator[Any] = merge(*fixed_blows, *random_blows, key=lambda entry: entry[1][0])
         self._coming: Any = next(self._blows, _NEVER)
 
     def _measured(self, k: int) -> Array:
-        """Return what the encoders measure at a tick."""
+        """Return the readings (n+1,) or (n+1, S) of the encoders at tick k, rad and m, with lost counts and noise."""
         return self._encoders.measure(
             self._plant.values if self._seen is None else self._seen,
             k * self.period,
@@ -444,17 +505,14 @@ class SimulatedBench:
         )
 
     def _age(self, k: int) -> Any:
-        """Return the age of a reading, s, or None.
-
-        The result is None if the bench does not report ages.
-        """
+        """Return the age of the reading at tick k, s, or None if the bench does not report ages."""
         # The first reading shows the initial state.
         return self._ages[k] if self._reports and k else None
 
     def _demand(self, k: int, acceleration: Any) -> None:
-        """Store the command of tick k, m/s².
+        """Append the command of tick k, m/s², to the demands on their way to the drive, within the drive's limits.
 
-        A second one in the same period replaces the first.
+        A second command in the same period replaces the first.
         """
         demands = self._demands
         del demands[self._sent_before :]
@@ -464,7 +522,7 @@ class SimulatedBench:
         demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
 
     def _pass(self, k: int) -> None:
-        """Advance the bench by period k."""
+        """Advance the bench by period k, from tick k to the next, with its blows and the demands that act in it."""
         plant, demands, period = self._plant, self._demands, self.period
         self._off = k * period >= self._fails.get("off", math.inf)
         if len(demands) <= self._sent_before:
@@ -478,18 +536,25 @@ class SimulatedBench:
             plant.move(self._acting(demands[1], period), period, time=k * period)
         else:
             # The next reading shows the state `seen` seconds into this period.
-            seen = period if self._ages is None else period - self._ages[k + 1]
+            reading_time = period if self._ages is None else period - self._ages[k + 1]
             self._seen = None
-            change = fraction * period
-            if change:
-                self._part(k, demands[0], 0.0, change, seen)
-            self._part(k, demands[1], change, period, seen)
+            demand_change = fraction * period
+            if demand_change:
+                self._part(k, demands[0], 0.0, demand_change, reading_time)
+            self._part(k, demands[1], demand_change, period, reading_time)
         del demands[0]
 
     def _part(self, k: int, demand: Any, begin: float, end: float, seen: float) -> None:
-        """Advance a part of period k under `demand`.
+        """Advance the bench over a part of period k in which one demand acts.
 
-        The part lasts from `begin` to `end` s within the period.
+        A reading with an age shows a state within the period, which is stored in `_seen`.
+
+        Args:
+            k: number of the period.
+            demand: demand that acts, m/s².
+            begin: start of the part within the period, s.
+            end: its end within the period, s.
+            seen: time within the period of the state that the next reading shows, s, a number or (S,).
         """
         plant, start, span = self._plant, k * self.period, end - begin
         acting = self._acting(demand, span)
@@ -498,8 +563,8 @@ class SimulatedBench:
             middle = np.clip(seen, begin, end)
             plant.move(acting, middle - begin, time=start + begin, span=span)
             # The end of the period belongs to its last part.
-            now = (begin <= seen) & ((seen < end) | (end >= self.period))
-            self._seen = np.where(now, plant.state, plant.state if self._seen is None else self._seen)
+            is_read = (begin <= seen) & ((seen < end) | (end >= self.period))
+            self._seen = np.where(is_read, plant.state, plant.state if self._seen is None else self._seen)
             plant.move(acting, end - middle, time=start + middle, span=span)
         elif begin < seen < end:
             plant.move(acting, seen - begin, time=start + begin, span=span)
@@ -511,7 +576,10 @@ class SimulatedBench:
             plant.move(acting, span, time=start + begin)
 
     def _acting(self, demand: Any, duration: float) -> Any:
-        """Return the drive's acceleration, m/s², which keeps its velocity reference in bounds or brakes."""
+        """Return the drive's acceleration for a demand, m/s², and record the hardest.
+
+        The drive keeps its velocity reference in bounds for `duration` s, or brakes after a stop or its failure.
+        """
         drive, velocity, braking = self._drive, self._plant.loop_velocity, self._braking
         if self._off or braking is True:
             acting = drive.braking(velocity, duration)
@@ -524,9 +592,12 @@ class SimulatedBench:
 
 
 class SimulatedRig(SimulatedBench):
-    """A simulated bench with the `Rig` protocol.
+    """A simulated bench of one run, with the `Rig` protocol.
 
     Args:
+        draw: draw of the run.
+        settings: settings of the bench.
+        limits: see `SimulatedBench`.
         start: see `SimulatedBench`.
         queued: see `SimulatedBench`.
     """
@@ -539,10 +610,7 @@ class SimulatedRig(SimulatedBench):
 
     @property
     def state(self) -> Array:
-        """The plant's full state (N,).
-
-        The true state, then the demand of a lagging drive.
-        """
+        """The plant's full state (N,): the true state, the demand of a lagging drive, and the components' states."""
         return self._plant.state
 
     @property
@@ -552,7 +620,11 @@ class SimulatedRig(SimulatedBench):
 
     @cached_property
     def kind(self) -> PeriodKind | None:
-        """A period as one expression, or None for a bench that computes it in parts or outside of machine code."""
+        """Expression of a period, for blocks of ticks in machine code; None for a bench that needs Python.
+
+        Python computes delays of fractional periods, readings with ages, faults during the run, modes of components,
+        users' plants, and periods that are too long for one step.
+        """
         plant, settings = self._plant, self._encoders.settings
         if self._fraction or self._ages is not None or self._missed is not None:
             return None
@@ -573,30 +645,38 @@ class SimulatedRig(SimulatedBench):
 
     @cached_property
     def steps(self) -> Array:
-        """Counts (n+1,) of the encoders and of the cart's scale, rad and m, 0 for exact ones."""
+        """Resolutions (n+1,) of the encoders and of the cart's scale, rad and m; 0 for a sensor that does not round."""
         settings, arms = self._encoders.settings, len(self._nothing) - 1
         return np.array([*settings.steps(arms), settings.cart_resolution])
 
     @cached_property
     def parameters(self) -> Array:
-        """Parameters of the plant's step."""
+        """Parameters of the plant's step in the order of `PlantParameters.numbers`, for blocks of ticks."""
         return cast("SimulatedPlant", self._plant).plants[0].numbers()
 
     @cached_property
     def drive_numbers(self) -> Array:
-        """Values of `DriveNumbers`."""
-        d, plant = self._drive, cast("SimulatedPlant", self._plant)
-        numbers = DriveNumbers(d.acceleration, d.velocity, d.jerk_step, d.response, plant.lag, self.period)
+        """Limits and lag of the drive as an array in the order of `DriveNumbers`, for blocks of ticks."""
+        drive, plant = self._drive, cast("SimulatedPlant", self._plant)
+        numbers = DriveNumbers(
+            drive.acceleration, drive.velocity, drive.jerk_step, drive.response, plant.lag, self.period
+        )
         return np.array(numbers, dtype=float)
 
     def plain_ticks(self, k: int, most: int) -> int:
-        """Return how many ticks from k on, at most `most`, need only the expression of `kind`."""
+        """Return the number of ticks from k on, at most `most`, that need only the expression of `kind`.
+
+        The count ends with the tick of the next blow. It is 0 for the first tick and while the cart brakes.
+        """
         if not k or self._braking is not None:
             return 0
         return max(0, min(most, self._coming[1][0] + 1 - k))
 
     def plain_states(self, states: Array) -> NDArray[np.bool_]:
-        """Return True for each state (K, N) that is finite, with the cart on its track and away from the switches."""
+        """Return True (K,) for states (K, N) from which a block can continue.
+
+        They are finite, with the cart on its track and away from the limit switches.
+        """
         cart = np.abs(states[:, self._cart])
         return (
             (cart <= cast("SimulatedPlant", self._plant).track)
@@ -606,27 +686,33 @@ class SimulatedRig(SimulatedBench):
 
     @property
     def stored(self) -> tuple[Array, list[float], Array, float]:
-        """State of the plant, demands, m/s², last reading (n+1,), and the drive's coming acceleration, m/s²."""
+        """The state from which a block of ticks begins.
+
+        These are the plant's state (N,), the demands, m/s², the last reading (n+1,), and the drive's coming
+        acceleration, m/s².
+        """
         return self._plant.state, self._demands, self._last, self._acting(self._demands[1], self.period)
 
     @property
     def draws(self) -> bool:
-        """True if random numbers or drifts change from tick to tick."""
+        """True if random numbers or drifts change from tick to tick, so that blocks must read them."""
         streams = self._command_noise, self._noise, self._dropped
         return self._encoders.drift is not None or any(stream is not None for stream in streams)
 
     def drawn(self, k: int, count: int) -> DrawnTicks:
-        """Return the random numbers of ticks from k on."""
+        """Return the random numbers of `count` ticks from tick k on, for a block."""
         ticks, n = range(k, k + count), len(self._nothing) - 1
 
-        def of(stream: Any, *shape: int) -> Array:
+        def values_of(stream: Any, *shape: int) -> Array:
             return np.zeros((count, *shape)) if stream is None else np.array([stream[tick] for tick in ticks])
 
         zeros = self._encoders.zeros_at(np.asarray(np.arange(k, k + count) * self.period, dtype=np.float64))
-        return DrawnTicks(of(self._command_noise), of(self._noise, n + 1), zeros, of(self._dropped) > 0)
+        return DrawnTicks(
+            values_of(self._command_noise), values_of(self._noise, n + 1), zeros, values_of(self._dropped) > 0
+        )
 
     def resume(self, tick: int, state: Array, demands: Array, read: Array, *, hardest: float) -> None:
-        """Continue after a tick with a state, demands and reading as in `stored`.
+        """Continue after a block that ended with a tick, from a state, demands and reading as in `stored`.
 
         Args:
             tick: the last tick.
@@ -640,7 +726,7 @@ class SimulatedRig(SimulatedBench):
         self.hardest = max(self.hardest, hardest)
 
     def read(self) -> Reading:
-        """Advance one period, except in the first call, and return the readings.
+        """Advance by one period, except in the first call, and return the reading.
 
         Raises:
             ArithmeticError: the state is no longer finite.
@@ -649,17 +735,17 @@ class SimulatedRig(SimulatedBench):
         if k:
             self._pass(k - 1)
         self._tick = k
-        now, values = k * self.period, self._plant.values
+        time_s, values = k * self.period, self._plant.values
         if not math.isfinite(sum(values)):
-            raise ArithmeticError(f"plant failed at t = {now:.3f} s: its state is no longer finite")
+            raise ArithmeticError(f"plant failed at t = {time_s:.3f} s: its state is no longer finite")
         position = values[self._cart]
         switch = 0 if abs(position) < self._switch_at else 1 if position > 0 else -1
         # Encoders count, and lose counts, even if readings are dropped.
         measured = self._measured(k)
         if self._dropped is not None and self._dropped[k]:
-            return Reading(now, self._last, self._nothing, switch)
+            return Reading(time_s, self._last, self._nothing, switch)
         self._last = measured
-        return Reading(now, measured, None, switch, age=self._age(k))
+        return Reading(time_s, measured, None, switch, age=self._age(k))
 
     def command(self, acceleration: float) -> None:
         """Send the demanded acceleration of the cart.
@@ -677,14 +763,11 @@ class SimulatedRig(SimulatedBench):
 
 
 class BatchBench(SimulatedBench):
-    """The simulated benches of S runs, which advance together."""
+    """The simulated benches of S runs in lockstep, which advance together."""
 
     @property
     def failed(self) -> NDArray[np.bool_] | None:
-        """True for each state (S,) that is not finite.
-
-        The result is None if all are finite.
-        """
+        """True (S,) for runs whose state is not finite, or None if all are finite."""
         # One sum detects the rare failure; only then is each run checked.
         if math.isfinite(np.add.reduce(self._plant.state, axis=None)):
             return None
@@ -693,13 +776,13 @@ class BatchBench(SimulatedBench):
 
     @property
     def faults(self) -> Mapping[int, Event]:
-        """Causes of failed runs, by run number."""
+        """Events of carts that reached the end of their track, by run number."""
         return self._plant.faults
 
     def read(self) -> Reading:
-        """Advance one period, except in the first call.
+        """Advance all benches by one period, except in the first call.
 
-        Return positions (n+1, S) and switches.
+        Return the reading of all runs, with positions (n+1, S) and switches (S,).
         """
         self._tick = k = self._tick + 1
         if k:
@@ -713,7 +796,7 @@ class BatchBench(SimulatedBench):
         return Reading(k * self.period, measured, present, switch, age=self._age(k))
 
     def command(self, accelerations: Array) -> None:
-        """Accelerate the carts.
+        """Send the demanded accelerations of all runs to their drives.
 
         Args:
             accelerations: demanded accelerations (S,) of the carts, m/s².
@@ -734,7 +817,7 @@ class BatchBench(SimulatedBench):
         self._braking[runs] = True
 
     def replace_runs(self, runs: list[int], other: "BatchBench") -> None:
-        """Replace runs by those of a bench with the same settings that has been read once.
+        """Replace runs by those of a bench with the same settings that has been read once, to begin new episodes.
 
         Noise and blows, which follow the ticks of the whole bench, remain those of the replaced runs.
 
@@ -745,6 +828,6 @@ class BatchBench(SimulatedBench):
         plant: Any = self._plant
         plant.replace_runs(runs, other._plant)
         self._last[:, runs] = other._last
-        pairs = [*zip(self._demands, other._demands, strict=False)]
-        for mine, theirs in [*pairs, *zip(self._encoders.zeros, other._encoders.zeros, strict=True)]:
-            mine[runs] = theirs
+        demands = [*zip(self._demands, other._demands, strict=False)]
+        for values, other_values in [*demands, *zip(self._encoders.zeros, other._encoders.zeros, strict=True)]:
+            values[runs] = other_values

@@ -25,9 +25,14 @@ PHASES, _PERIODS = 120, 12
 
 @dataclass(frozen=True, eq=False)
 class Reach(Brief):
-    """Places of a reference, `every` ticks apart.
+    """Places of a reference, `every` ticks apart, with the cost-to-go to each.
 
-    States (M, N) and cost-to-go matrices P (M, N, N).
+    The recovery compares a state with them, to find an earlier place from which the law can resume the itinerary.
+
+    Attributes:
+        every: ticks between two places.
+        states: reference states (M, N).
+        costs: cost-to-go matrices P (M, N, N) of the law that follows the reference.
     """
 
     every: int
@@ -35,21 +40,24 @@ class Reach(Brief):
     costs: Array
 
     def costs_at(self, states: Array, place: int) -> Array:
-        """Return the costs-to-go (S,) to a place, modulo whole turns.
+        """Return the costs-to-go (S,) from states to a place, modulo whole turns of the arms.
+
+        Large costs mark states from which the law can hardly return.
 
         Args:
             states: states (S, N).
             place: index of the place.
         """
-        away = states - self.states[place]
+        differences = states - self.states[place]
         n = states.shape[1] // 2 - 1
-        away[:, :n] -= whole_turns(away[:, :n])
-        return np.einsum("si,ij,sj->s", away, self.costs[place], away)
+        differences[:, :n] -= whole_turns(differences[:, :n])
+        return np.einsum("si,ij,sj->s", differences, self.costs[place], differences)
 
     def nearest(self, state: Array, last: int, *, worth: float) -> tuple[int, float]:
-        """Return the place with the least cost, and that cost.
+        """Return the index of the place with the least cost-to-go, and that cost.
 
-        The cost is infinite if no place is near. It doubles `worth` places earlier.
+        The cost is infinite if no place is near. It doubles for a place that is `worth` places earlier, since flying a
+        section again costs time.
 
         Args:
             state: state (N,).
@@ -57,23 +65,25 @@ class Reach(Brief):
             worth: number of places after which the cost doubles.
         """
         n = len(state) // 2 - 1
-        away = state - self.states[: last + 1]
-        away[:, :n] -= whole_turns(away[:, :n])
+        differences = state - self.states[: last + 1]
+        differences[:, :n] -= whole_turns(differences[:, :n])
         # Quadratic forms for all places would take longer than a tick.
-        near = np.flatnonzero(np.abs(away[:, :n]).max(axis=1) < _NEAR)
+        near = np.flatnonzero(np.abs(differences[:, :n]).max(axis=1) < _NEAR)
         if not near.size:
             return last, math.inf
-        costs = np.einsum("ki,kij,kj->k", away[near], self.costs[near], away[near]) * (1 + (last - near) / worth)
+        costs = np.einsum("ki,kij,kj->k", differences[near], self.costs[near], differences[near]) * (
+            1 + (last - near) / worth
+        )
         least = int(np.argmin(costs))
         return int(near[least]), float(costs[least])
 
 
 @dataclass(frozen=True, eq=False)
 class FlightGoal(Brief):
-    """A target of flights.
+    """A stop, or rest, that flights lead to, with the times at which the itinerary continues from there.
 
     Attributes:
-        target: places and their costs-to-go.
+        target: places and their costs-to-go, scaled to 1 where the law saturates.
         terminal: costs P (M, N, N) of the places in the units of the law that takes over there.
         at: time (M,) at each place, s, on the clock of this law's gains.
     """
@@ -84,6 +94,8 @@ class FlightGoal(Brief):
 
     def until(self, latest: float) -> "FlightGoal":
         """Return the goal with the places up to a time, at least the first.
+
+        After a fall, a place behind the fall would leave a gap in the scored motion.
 
         Args:
             latest: time of the plan's reference, s.
@@ -96,6 +108,9 @@ def reached(
     reference: Reference, model: SampledModel, settings: QuadraticWeights, *, every: int, limits: Limits
 ) -> tuple[Reach, Target]:
     """Return the places of a reference by their costs-to-go, and as targets of flights.
+
+    Recoveries compare costs along the reference (`Reach`). Flights need costs that are 1 where the law saturates
+    (`Target`).
 
     Args:
         reference: reference to follow.
@@ -111,13 +126,23 @@ def reached(
 
 
 def _levels(gains: Array, costs: Array, commands: Array, limits: Limits) -> Array:
-    """Return the costs-to-go (K,) at which laws with gains (K, N) and costs P (K, N, N) saturate."""
-    left = np.maximum(limits.acceleration - np.abs(commands), _LEFT * limits.acceleration)
-    return left**2 / np.einsum("ki,kij,kj->k", gains, np.linalg.inv(costs), gains)
+    """Return the costs-to-go (K,) up to which a law's feedback stays within the cart's acceleration.
+
+    Flights end within this level, because beyond it the law saturates and may lose the arms. For a gain k and a cost P,
+    the largest feedback on xᵀPx = V is √(V kᵀP⁻¹k).
+
+    Args:
+        gains: gains (K, N) on the state.
+        costs: cost-to-go matrices P (K, N, N).
+        commands: feedforward (K,), m/s², which leaves the rest of the acceleration to the feedback.
+        limits: limits of the cart.
+    """
+    available = np.maximum(limits.acceleration - np.abs(commands), _LEFT * limits.acceleration)
+    return available**2 / np.einsum("ki,kij,kj->k", gains, np.linalg.inv(costs), gains)
 
 
 def hold_target(hold: HoldController, limits: Limits) -> Target:
-    """Return an equilibrium as a target.
+    """Return an equilibrium as a target of flights with one place, whose cost is 1 where its law saturates.
 
     Args:
         hold: law that holds it.
@@ -129,7 +154,9 @@ def hold_target(hold: HoldController, limits: Limits) -> Target:
 
 
 def orbit_target(orbit: SustainedOrbit, model: SampledModel, settings: QuadraticWeights, limits: Limits) -> Target:
-    """Return all phases of an orbit as a target.
+    """Return all phases of an orbit as a target, so that a flight can join it at any of them.
+
+    The Riccati recursion is repeated over `_PERIODS` periods, until its cost-to-go is periodic.
 
     Args:
         orbit: periodic orbit of pendulum and cart.
@@ -139,22 +166,27 @@ def orbit_target(orbit: SustainedOrbit, model: SampledModel, settings: Quadratic
     """
     times = model.period * np.arange(round(orbit.period / model.period))
     states, commands = orbit.state(times), orbit.reference.input(times + model.period / 2)[:, 0]
-    a, b = model.linearised(states, commands)
+    state_jacobians, input_jacobians = model.linearised(states, commands)
     diagonal, effort = settings.weights(model.arms, model.period)
-    terminal = terminal_cost(a[0], b[0], weights=np.diag(diagonal), effort=effort)
+    terminal = terminal_cost(state_jacobians[0], input_jacobians[0], weights=np.diag(diagonal), effort=effort)
     for _ in range(_PERIODS):
-        *_, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
+        *_, costs = riccati_gains(state_jacobians, input_jacobians, weights=diagonal, effort=effort, terminal=terminal)
         terminal = costs[0]
-    gains, _, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
+    gains, _, costs = riccati_gains(
+        state_jacobians, input_jacobians, weights=diagonal, effort=effort, terminal=terminal
+    )
     return Target(states, costs[:-1] / _levels(gains, costs[:-1], commands, limits)[:, None, None])
 
 
 def goal_of(reach: Reach, targets: Target, *, stay: tuple[float, float], period: float, rate: float) -> FlightGoal:
-    """Return the goal of a stop: places early in its stay, so that the feedback settles before the stay ends.
+    """Return a stop of the plan as a goal of flights.
+
+    Its places are early in the stay, so that the feedback settles before the stay ends, and within one period of its
+    orbit.
 
     Args:
         reach: places of the reference.
-        targets: the same places as targets.
+        targets: the same places as targets of flights.
         stay: begin and end of the stay, s.
         period: period of the stop's orbit, s.
         rate: rate of the loop, Hz.
@@ -168,7 +200,9 @@ def goal_of(reach: Reach, targets: Target, *, stay: tuple[float, float], period:
 
 
 def rest_goal(hold: HoldController, limits: Limits) -> FlightGoal:
-    """Return the goal of arms that hang at rest.
+    """Return the goal of flights to arms that hang at rest.
+
+    From there, a flight to a stop is tried again after two that failed.
 
     Args:
         hold: law that holds them there.
@@ -179,13 +213,15 @@ def rest_goal(hold: HoldController, limits: Limits) -> FlightGoal:
 
 
 def padded(gains: GainSchedule, like: GainSchedule) -> GainSchedule:
-    """Return a gain schedule with the columns of another one; gains on extras that it lacks are zero.
+    """Return a gain schedule with the columns of another one, because all laws of a run share one compiled tick.
+
+    Gains on extras that the schedule lacks are zero.
 
     Args:
         gains: gains on the state.
         like: gains with all columns.
     """
     n = gains.references.shape[1] // 2 - 1
-    missing = np.zeros((len(gains.rows), like.rows.shape[1] - gains.rows.shape[1]))
-    rows = np.hstack([gains.rows[:, :-n], missing, gains.rows[:, -n:]])
+    extra_columns = np.zeros((len(gains.rows), like.rows.shape[1] - gains.rows.shape[1]))
+    rows = np.hstack([gains.rows[:, :-n], extra_columns, gains.rows[:, -n:]])
     return replace(like, rows=rows, references=gains.references, queued=gains.queued, mode=gains.mode)

@@ -28,13 +28,17 @@ _VELOCITY, _VELOCITY_SHARE = 0.1, 0.1
 
 
 class Ticker:
-    """The ticks of one run, or of many in lockstep.
+    """The ticks of one run, or of many in lockstep: each converts a reading to a command.
 
-    The program decides the number of runs.
+    It joins the compiled tick (`TickProgram`), the law and the estimator, and stores the references that the ticks
+    follow.
 
     Args:
+        program: compiled tick for one run, or for S runs in lockstep.
+        controller: the law that is followed first.
         schedule: gains of the controller, or None if it has an internal clock.
         estimator: replacement for the compiled filter, for a single run.
+        estimator_kind: name of the estimator's kind, for the log.
     """
 
     def __init__(
@@ -46,6 +50,10 @@ class Ticker:
         estimator: Estimator | None = None,
         estimator_kind: str,
     ) -> None:
+        """Store the parts, and prepare the first tick.
+
+        `_schedule` and `_rows` hold the gains by tick of a law without an internal clock; `_session` is a law with one.
+        """
         self.program, self.controller, self.estimator = program, controller, estimator
         self._own = estimator if isinstance(estimator, OwnEstimates) else None
         self._judged = True
@@ -70,22 +78,23 @@ class Ticker:
 
     @property
     def failure(self) -> OwnFailure | None:
-        """The error of a user's law or estimator in the last tick."""
-        if self.report.own.size and (wrong := wrong_command(self.kind, self.report.own.item(0))):
-            return wrong
-        session = self._session.failure if isinstance(self._session, OwnSession) else None
-        return session or (None if self._own is None else self._own.failure)
+        """The error of a user's law or estimator in the last tick, or None."""
+        if self.report.own.size and (command_error := wrong_command(self.kind, self.report.own.item(0))):
+            return command_error
+        law_error = self._session.failure if isinstance(self._session, OwnSession) else None
+        return law_error or (None if self._own is None else self._own.failure)
 
     @property
     def extra_names(self) -> tuple[str, ...]:
-        """Names of the parameters that are estimated in addition to the state."""
+        """Names (E,) of the parameters that are estimated in addition to the state."""
         return self.program.equations.filter.extra_names
 
     @property
     def constants(self) -> tuple[list[Any], ...] | None:
         """Names (C,), values (C,) and covariances (C, C), now and at the start, of the model's constant errors.
 
-        The result is None unless the compiled filter estimates parameters.
+        The log of a run stores them, so that a next run can begin with a better model. The result is None unless the
+        compiled filter estimates parameters.
 
         Their order is that of `estimator_settings.constants`; errors of parameters are logarithms.
         """
@@ -93,12 +102,19 @@ class Ticker:
         if self.estimator is not None or Augment.PARAMETERS not in settings.augments:
             return None
         names = list(constants(self._arms, settings.augments))
-        part = np.s_[-len(names) :, -len(names) :]
-        before, now = settings.first_covariance(self._arms)[part], unpacked(memory.covariance[:, 0])[part]
-        return names, memory.z[-len(names) :, 0].tolist(), now.tolist(), before.tolist()
+        last_entries = np.s_[-len(names) :, -len(names) :]
+        first, last = (
+            settings.first_covariance(self._arms)[last_entries],
+            unpacked(memory.covariance[:, 0])[last_entries],
+        )
+        return names, memory.z[-len(names) :, 0].tolist(), last.tolist(), first.tolist()
 
     def begin(self) -> None:
-        """Begin a run."""
+        """Prepare the first tick: reset estimator and memory, and compute the commands that are pending at the start.
+
+        Pending commands are those that act before the first tick's command, because the drive has a delay of `lead`
+        periods.
+        """
         program, first = self.program, self.controller.first_state
         self._session: Any = None
         self._carts = np.full((max(1, round(_SCALE_SECONDS / program.period)) + 1, program.lanes), np.nan)
@@ -117,13 +133,13 @@ class Ticker:
             self.references = np.empty((self.count, self._arms, program.runs) if self._many else (self.count, self._n))
             # Pending commands act before the first tick's own command; each is computed for the state that the
             # previous ones lead to.
-            rest = np.zeros(program.equations.filter.dimension - self._n)
-            z = program.spread(np.concatenate([first, rest])[:, None])
+            extras = np.zeros(program.equations.filter.dimension - self._n)
+            prediction = program.spread(np.concatenate([first, extras])[:, None])
             queued, drive = [], np.zeros(program.lanes)
             for k in range(self.lead):
-                forward, back = self._call_law(k, z[: self._n], z[self._n :])
-                queued.append(np.broadcast_to(forward + back, program.lanes))
-                z, drive = program.moved(z, drive, queued[-1])
+                feedforward, feedback = self._call_law(k, prediction[: self._n], prediction[self._n :])
+                queued.append(np.broadcast_to(feedforward + feedback, program.lanes))
+                prediction, drive = program.moved(prediction, drive, queued[-1])
             self.queued = np.array(queued).reshape(self.lead, program.lanes)[:, : program.runs]
         program.begin(first, self.queued, velocity=float(first[-1]))
         # Compiled now, since there is no time for it in the first tick.
@@ -131,26 +147,35 @@ class Ticker:
 
     @property
     def _parts(self) -> list[str]:
-        """The functions that a tick in parts needs."""
+        """Names of the compiled functions that `_by_parts` needs; a replaced estimator needs no filter."""
         return ["judge", "moved"] if self.estimator is not None else ["sense", "moved", "finish"]
 
     def prepare_to_hold(self) -> None:
-        """Compile everything that is needed after the reference is abandoned."""
+        """Compile the functions of ticks after the reference is abandoned: a late compilation would miss deadlines."""
         self.program.prepare(self._parts)
 
     def _begun(self) -> Any:
-        """Return a new session of the law, for one run or all."""
+        """Return a new session of a law with an internal clock: an object that computes its commands in one run.
+
+        Runs in lockstep share one session.
+        """
         law: Any = self.controller
         if not self._many:
             return law.begin_after(self.lead) if hasattr(law, "begin_after") else law.begin()
         return law.begin_many(self.program.runs)
 
     def _call_law(self, tick: int, ahead: Array, extra: Array) -> tuple[Any, Any]:
-        """Return the session's feedforward and feedback for `tick`, and store its reference."""
+        """Return feedforward and feedback, m/s², of a law with an internal clock, and queue its reference in `_coming`.
+
+        Args:
+            tick: the tick in which the command acts.
+            ahead: predicted states (N, lanes) at that tick.
+            extra: estimated further parameters (E, lanes).
+        """
         if self._many:
-            forward, back, wanted = self._session.commands(tick, ahead, extra)
-            self._coming.append(wanted[: self._arms].reshape(self._arms, -1))
-            return forward, back
+            feedforward, feedback, references = self._session.commands(tick, ahead, extra)
+            self._coming.append(references[: self._arms].reshape(self._arms, -1))
+            return feedforward, feedback
         action = self._session.command(tick, ahead[:, 0].copy(), extra[:, 0].copy())
         self._coming.append(action.reference)
         self.event = action.event
@@ -171,8 +196,10 @@ class Ticker:
         positions = reading.positions if self._many else reading.positions[:, None]
         switch = reading.switch if self._uses_switch else 0
         program.take(positions, reading.present, switch, rate_error, reading.age)
-        cart = positions[-1] if reading.present is None else np.where(reading.present[-1], positions[-1], np.nan)
-        self._carts[k % len(self._carts)] = cart
+        cart_position = (
+            positions[-1] if reading.present is None else np.where(reading.present[-1], positions[-1], np.nan)
+        )
+        self._carts[k % len(self._carts)] = cart_position
         if self.whole:
             np.add(self._rows[k - self.began], self._lift, out=program.row)
             program.tick()
@@ -180,7 +207,7 @@ class Ticker:
         return self._by_parts(k - self.began, reading)
 
     def seen(self, reading: Reading) -> Reading:
-        """Return a reading without the angles of arms that have no encoder.
+        """Return a reading in which the angles of arms without an encoder are missing: NaN and not present.
 
         Args:
             reading: reading of one run.
@@ -191,33 +218,44 @@ class Ticker:
         return reading._replace(positions=np.where(self._measured, reading.positions, np.nan), present=present)
 
     def rows_of(self, k: int, count: int, out: Array) -> None:
-        """Write the rows of ticks from k on into `out` (count, size, lanes)."""
+        """Write the gains and references of several ticks into the rows that `Blocks` computes at once.
+
+        Args:
+            k: the first tick.
+            count: number of ticks.
+            out: array (count, size, lanes) for the inputs `TickEquations.row`.
+        """
         rows = self._rows[k - self.began :][:count, :, 0] + self._lift[:, 0]
         # Lane by lane, since numpy's innermost loop would be over the two lanes.
         for lane in range(out.shape[2]):
             out[:count, :, lane] = rows
 
     def take_carts(self, k: int, carts: Array) -> None:
-        """Store the cart's last positions, m, of which those from tick k on are (K,), NaN where missing."""
-        span = len(self._carts)
-        for i, cart in enumerate(carts[-span:].tolist(), k + max(len(carts) - span, 0)):
-            self._carts[i % span] = cart
+        """Store the cart's positions after a block, from which `figures` computes the velocity of its scale.
+
+        Args:
+            k: the first tick of the block.
+            carts: positions (K,) of the cart from that tick on, m, NaN where missing.
+        """
+        length = len(self._carts)
+        for i, cart in enumerate(carts[-length:].tolist(), k + max(len(carts) - length, 0)):
+            self._carts[i % length] = cart
 
     def _by_parts(self, k: int, reading: Reading) -> Report:
-        """Compute the tick that is k ticks after the present controller started.
+        """Compute a tick in two parts, with the law or another estimator called between them, and return its report.
 
-        `_lift` adds whole turns to the rows of the schedule. A law with an internal clock acts `lead` ticks later, and
-        `_coming` stores its references until then.
+        `k` is the number of ticks since the present controller started. `_lift` adds whole turns to the rows of the
+        schedule. A law with an internal clock acts `lead` ticks later, and `_coming` stores its references until then.
         """
         program = self.program
         if self.estimator is None:
             sensed = program.sense()
-            z = sensed[: program.equations.filter.dimension]
-            ahead, drive = program.look_ahead(z)
+            estimate = sensed[: program.equations.filter.dimension]
+            ahead, drive = program.look_ahead(estimate)
         else:
             sensed, ahead, drive = self._estimated(self.estimator, k + self.began, reading)
-            z = sensed[: program.equations.filter.dimension]
-        back: Any = 0.0
+            estimate = sensed[: program.equations.filter.dimension]
+        feedback: Any = 0.0
         if self._session is None:
             np.add(self._rows[k], self._lift, out=program.row)
         elif not self._many and program.memory.stopped[0, 0]:
@@ -225,12 +263,12 @@ class Ticker:
             self.references[k] = self.references[k - 1]
         else:
             self.event = ""
-            forward, back = self._call_law(k + self.lead, ahead, z[self._n :])
-            wanted = self._coming.popleft()
-            self._row.feedforward[:] = forward
-            self.references[k] = wanted
-            self._row.wanted[:] = wanted if self._many else wanted[: self._arms, None]
-        program.finish(sensed, ahead, drive, back, predicts=self.estimator is None)
+            feedforward, feedback = self._call_law(k + self.lead, ahead, estimate[self._n :])
+            references = self._coming.popleft()
+            self._row.feedforward[:] = feedforward
+            self.references[k] = references
+            self._row.wanted[:] = references if self._many else references[: self._arms, None]
+        program.finish(sensed, ahead, drive, feedback, predicts=self.estimator is None)
         if self.estimator is not None and self.report.outcome[0, 0] == Outcome.RESTART:
             self._estimate = self.estimator.restarted(self._estimate, reading.positions)
         if self._own is not None and not self._own.judged:
@@ -241,50 +279,62 @@ class Ticker:
         return self.report
 
     def _estimated(self, estimator: Estimator, k: int, reading: Reading) -> tuple[Array, Array, Array]:
-        """Return sensed values, predicted state and `drive`, by another estimator.
+        """Return the estimate by an estimator that replaces the compiled filter, as input of the second part of a tick.
 
-        The values are those of `TickProgram.sense`.
+        Args:
+            estimator: the replacement.
+            k: tick of the run.
+            reading: reading of this tick.
+
+        Returns:
+            Sensed values as those of `TickProgram.sense`, the state (N, lanes) at which the command acts, and the
+                acceleration of a lagging drive then, m/s². An estimator that fails leaves the estimate as it was, with
+                `sound` 0.
         """
-        program, before = self.program, self._estimate
+        program, last_estimate = self.program, self._estimate
         means, drive = program.pending_accelerations()
-        way = [float(mean[0]) for mean in means]
+        pending = [float(mean[0]) for mean in means]
         sound = 1.0
         try:
             if k:
                 if self._own is not None:
+                    # A user's estimator receives the command, and the model the acceleration that acts.
                     self._own.sends(self.report.command.item(0))
-                now = estimator.step(before, self.report.acting.item(0), reading.positions, reading.present)
+                estimate = estimator.step(last_estimate, self.report.acting.item(0), reading.positions, reading.present)
             else:
-                now = estimator.update(before, reading.positions, reading.present)
-            self._estimate = now
+                estimate = estimator.update(last_estimate, reading.positions, reading.present)
+            self._estimate = estimate
         except ArithmeticError:
-            now, sound = before, 0.0
-        ahead = estimator.ahead(now, way)
+            estimate, sound = last_estimate, 0.0
+        ahead = estimator.ahead(estimate, pending)
         sensed = program.equations.sensed.filled(
-            program.lanes, z=np.concatenate([now.state, now.extra]), sigmas=now.sigmas,
-            nis=now.nis if sound else np.nan, used=now.used, sound=sound,
+            program.lanes, z=np.concatenate([estimate.state, estimate.extra]), sigmas=estimate.sigmas,
+            nis=estimate.nis if sound else np.nan, used=estimate.used, sound=sound,
         )  # fmt: skip
         return sensed, program.with_rate_error(program.spread(ahead[:, None])), drive
 
     def hold(self, k: int, fallback: NearestKeeper) -> str:
-        """Abandon the reference and return the name of the held orbit.
+        """Abandon the reference from the tick after k on, and hold the nearest orbit or equilibrium.
 
-        The ticker must have a single run.
+        Return a description of it for the log.
+
+        The ticker must have a single run. From then on, a tick consists of several calls, because the fallback's law is
+        not part of the compiled tick.
 
         Args:
             k: tick.
             fallback: laws that hold orbits and equilibria.
         """
-        self._session, held = fallback.session(k + self.lead, self.report.ahead[:, 0].copy())
+        self._session, description = fallback.session(k + self.lead, self.report.ahead[:, 0].copy())
         k -= self.began
-        now = self.references[k].copy()
+        reference = self.references[k].copy()
         self.references = np.concatenate([self.references[: k + 1], np.empty((self.count - k - 1, self._n))])
         self._coming.clear()
-        self._coming.extend([now] * self.lead)
+        self._coming.extend([reference] * self.lead)
         # The gains of the row no longer apply.
         self.program.row[:] = 0.0
         self.whole = False
-        return held
+        return description
 
     def follow(
         self,
@@ -311,7 +361,7 @@ class Ticker:
         program = self.program
         self._uses_switch = uses_switch
         memory = program.memory
-        for part in (
+        for values in (
             memory.error,
             memory.restarts,
             memory.held,
@@ -320,7 +370,7 @@ class Ticker:
             memory.still,
             memory.silent,
         ):
-            part[:] = 0.0
+            values[:] = 0.0
         program.bound(**bounds)
         self.controller, self.kind, self.began = controller, controller.kind, k
         self.count = controller.ticks + 1
@@ -330,27 +380,27 @@ class Ticker:
         self._coming.clear()
         if schedule is None:
             self._session = self._begun()
-            now = self.report.state[:, 0].copy()
-            self.references = np.tile(now, (self.count, 1))
-            self._coming.extend([now] * self.lead)
+            state = self.report.state[:, 0].copy()
+            self.references = np.tile(state, (self.count, 1))
+            self._coming.extend([state] * self.lead)
             return
         self._session, self._rows, self.references = None, schedule.rows[:, :, None], schedule.references.copy()
         self.references[:, : self._arms] += lift
         # The table is long, so each row is turned in its own tick.
         self._lift = np.zeros(self._rows.shape[1:])
-        turned = program.equations.row.of(self._lift)
-        turned.state[: self._arms] = turned.wanted[:] = lift[:, None]
+        lifted = program.equations.row.of(self._lift)
+        lifted.state[: self._arms] = lifted.wanted[:] = lift[:, None]
         program.bound(mode=float(schedule.mode))
 
     def lose(self) -> None:
-        """Restart the filter at the next reading with a wide covariance."""
+        """Restart the filter at the next reading with a wide covariance, because its estimate has become wrong."""
         self.program.memory.restart[:], self.program.memory.nis[:] = 1.0, 0.0
         if self.estimator is not None:
             measured = self.program.reading.measured[:, 0].copy()
             self._estimate = self.estimator.restarted(self._estimate, measured)
 
     def resynchronise(self, k: int) -> str:
-        """Move the law's clock to the nearest phase.
+        """Move the law's clock to the reference's phase nearest to the state, because the run is early or late.
 
         Args:
             k: tick.
@@ -363,18 +413,20 @@ class Ticker:
         return self._session.resynchronise(k + self.lead, self.report.ahead[:, 0].copy())
 
     def freeze_reference(self, k: int) -> None:
-        """Keep the reference constant from tick k while the cart brakes.
+        """Keep the reference constant from tick k on, because a braking cart no longer follows it.
+
+        Logs and scores then compare with the place where the motion was abandoned.
 
         Args:
             k: tick.
         """
         if self._session is None:
-            frozen = self.references.copy()
-            frozen[k - self.began :] = frozen[k - self.began]
-            self.references = frozen
+            references = self.references.copy()
+            references[k - self.began :] = references[k - self.began]
+            self.references = references
 
     def brake(self, k: int) -> None:
-        """Brake the cart to a standstill from the tick after k.
+        """Brake the cart to a standstill from the tick after k on, by a decision of the recovery.
 
         Args:
             k: tick.
@@ -383,7 +435,9 @@ class Ticker:
         self.freeze_reference(k)
 
     def correct_velocity(self, velocity: float) -> None:
-        """Replace the cart's commanded velocity, from which limits and braking are computed.
+        """Replace the cart's commanded velocity, from which the tick computes limits and braking.
+
+        A drive does not follow its commands exactly, so the commanded velocity can differ from the actual one.
 
         Args:
             velocity: velocity of the cart, m/s.
@@ -391,9 +445,9 @@ class Ticker:
         self.program.memory.velocity[:] = velocity
 
     def rehearse(self) -> None:
-        """Run ticks and discard them, to load everything before the first deadline.
+        """Compute some ticks and discard them, so that all code is loaded before the first deadline of a real bench.
 
-        Not with users' objects.
+        Users' objects are not called, because they may have a state.
         """
         if self._has_own:
             return
@@ -403,16 +457,16 @@ class Ticker:
         self.begin()
         if self.whole:
             # `begin` has replaced some arrays, which the tick loads again.
-            begun = self.program.stored.copy()
+            first_memory = self.program.stored.copy()
             self(0, reading)
-            self.program.stored[:] = begun
+            self.program.stored[:] = first_memory
 
     def untrusted(self) -> Mapping[str, Any]:
-        """Return name and share of the parameter that left the range in which the law trusts its estimate."""
-        schedule, which = self._schedule, int(self.report.untrusted.item(0)) - 1
+        """Return name, share and trust of the parameter whose estimate left the range in which the law trusts it."""
+        schedule, index = self._schedule, int(self.report.untrusted.item(0)) - 1
         assert schedule is not None
-        share = self.report.extra.item(which, 0)
-        return {"parameter": schedule.names[which], "share": share, "trust": float(schedule.trust)}
+        share = self.report.extra.item(index, 0)
+        return {"parameter": schedule.names[index], "share": share, "trust": float(schedule.trust)}
 
     def figures(self, k: int, lane: int = 0) -> Mapping[str, float]:
         """Return the numbers of the last tick that explain an outcome.
@@ -432,22 +486,22 @@ class Ticker:
         report, references, arms = self.report, self.references[k - self.began], self._arms
         state = report.state[:, lane]
         angles = state[:arms]
-        wanted = references[:arms] if references.ndim == 1 else references[:, lane]
+        reference_angles = references[:arms] if references.ndim == 1 else references[:, lane]
         measured = self.program.reading.measured[:arms, lane]
-        apart = measured - angles
-        read = measured - 2 * np.pi * np.rint(apart / (2 * np.pi))
-        seen = self.program.reading.present[:arms, lane] > 0
+        differences = measured - angles
+        aligned_angles = measured - 2 * np.pi * np.rint(differences / (2 * np.pi))
+        present = self.program.reading.present[:arms, lane] > 0
         sensor, period = int(report.sensor.item(lane)), self.program.period
-        velocity, span = state.item(self._n - 1), len(self._carts)
-        moved = self._carts[k % span, lane] - self._carts[(k + 1) % span, lane]
-        by_scale = moved / ((span - 1) * period)
-        agree = abs(velocity - by_scale) <= _VELOCITY + _VELOCITY_SHARE * abs(by_scale)
+        velocity, length = state.item(self._n - 1), len(self._carts)
+        travel = self._carts[k % length, lane] - self._carts[(k + 1) % length, lane]
+        scale_velocity = travel / ((length - 1) * period)
+        velocities_agree = abs(velocity - scale_velocity) <= _VELOCITY + _VELOCITY_SHARE * abs(scale_velocity)
         names = ("mean_nis", "error", "silent", "wish", "command", "untrusted", "newly_cut")
         return {
             **{name: getattr(report, name).item(lane) for name in names},
-            "distance": float(np.abs(np.where(seen, read, angles) - wanted).max()),
-            "apart": float(np.abs(apart[seen]).max(initial=0.0)),
-            "position": state.item(self._n - 2), "velocity": velocity if agree else math.nan,
+            "distance": float(np.abs(np.where(present, aligned_angles, angles) - reference_angles).max()),
+            "apart": float(np.abs(differences[present]).max(initial=0.0)),
+            "position": state.item(self._n - 2), "velocity": velocity if velocities_agree else math.nan,
             "sensor": sensor if sensor <= arms else 0, "repeated": report.repeats.item(lane) * period,
             "time": k * period,
         }  # fmt: skip

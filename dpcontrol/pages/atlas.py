@@ -51,11 +51,15 @@ class TubePart:
 
 
 def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array]]:
-    """Return the cuts of a kind's tubes as curves (stable or not, sign of the crossing, points (K, 2) in a period).
+    """Return the cuts of both tubes of a kind of connections, as curves to draw on the section.
 
     Args:
         atlas: atlas with the kind.
-        kind: kind of connection.
+        kind: kind of connections: two saddles, the section, and the number of crossings of each tube.
+
+    Returns:
+        For each curve: True if it belongs to the stable tube, the sign of its crossings, and its points (K, 2) of
+        position and momentum. A curve that leaves the period of an angle is split into several.
     """
     curves = []
     for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
@@ -65,12 +69,12 @@ def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array
             points = piece.stable_points if stable else piece.points
             closed = np.vstack([points, points[:1]]) if piece.closed else points
             sign = stable_direction(atlas, cut, piece.direction) if stable else piece.direction
-            curves += [(stable, 1 if sign > 0 else -1, run) for run in wrapped_runs(closed, (period, None))]
+            curves += [(stable, 1 if sign > 0 else -1, stretch) for stretch in wrapped_runs(closed, (period, None))]
     return curves
 
 
 def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
-    """Return the point (q, p/p₀) of a connection on its section, with the angle q within a period.
+    """Return the point (q, p/p₀) of a connection on its section, with an angle q shifted into the period about zero.
 
     Args:
         atlas: atlas with the connection.
@@ -82,7 +86,9 @@ def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
 
 
 def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
-    """Return both branches of a saddle's tubes up to a cut; time reversal gives the stable tube.
+    """Return the four parts of a saddle's tubes up to a cut: both branches, unstable and stable.
+
+    The atlas stores the unstable tube only; time reversal gives the stable one.
 
     Args:
         atlas: atlas with the cut.
@@ -93,11 +99,12 @@ def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
         for branch in (1, -1):
             strands = list(cut.strands[cut.strand_branches == branch])
             pieces = [piece for piece in cut.pieces if piece.branch == branch]
-            closed = [np.vstack([p.states, p.states[:1]]) if p.closed else p.states for p in pieces]
+            ends = [np.vstack([p.states, p.states[:1]]) if p.closed else p.states for p in pieces]
             if stable:
-                strands, closed = ([atlas.turned(states, cut.saddle) for states in some] for some in (strands, closed))
-            ways = {stable_direction(atlas, cut, p.direction) if stable else p.direction for p in pieces}
-            parts.append(TubePart(stable, branch, strands, closed, ways.pop() if len(ways) == 1 else 0))
+                strands, ends = ([atlas.turned(states, cut.saddle) for states in curves] for curves in (strands, ends))
+            senses = {stable_direction(atlas, cut, p.direction) if stable else p.direction for p in pieces}
+            # Sense 0 stands for a branch whose pieces cross the section in both senses.
+            parts.append(TubePart(stable, branch, strands, ends, senses.pop() if len(senses) == 1 else 0))
     return parts
 
 
@@ -113,13 +120,13 @@ def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind:
 
 
 def connections_of(atlas: Atlas, kind: AtlasKind) -> tuple[AtlasConnection, ...]:
-    """Return the connections of a kind.
+    """Return the connections of a kind, which are those with its numbers of crossings.
 
     Args:
         atlas: atlas with the kind.
         kind: kind of connection.
     """
-    return tuple(c for c in atlas.between(kind.source, kind.target) if c.hits == kind.hits)
+    return tuple(connection for connection in atlas.between(kind.source, kind.target) if connection.hits == kind.hits)
 
 
 def stable_direction(atlas: Atlas, cut: AtlasCut, direction: int) -> int:
@@ -136,18 +143,21 @@ def stable_direction(atlas: Atlas, cut: AtlasCut, direction: int) -> int:
 
 
 def colours(connections: tuple[AtlasConnection, ...]) -> dict[str, str]:
-    """Return a colour for each connection by name, the same one for mirror images (the other sense)."""
-    chosen: dict[str, str] = {}
+    """Return the colour of each connection by its name; mirror images, which differ in their sense only, share it."""
+    by_name: dict[str, str] = {}
     shades: dict[tuple[float, float], str] = {}
-    for c in sorted(connections, key=lambda c: -round(c.transversality_angle, 3)):
+    for connection in sorted(connections, key=lambda connection: -round(connection.transversality_angle, 3)):
         # Quantities that mirror images share, rounded as coarsely as in names.
-        key = (round(c.transversality_angle, 3), round(c.time_in + c.time_out, 3))
-        chosen[c.name] = shades.setdefault(key, style.CONNECTIONS[len(shades) % len(style.CONNECTIONS)])
-    return chosen
+        shared = (
+            round(connection.transversality_angle, 3),
+            round(connection.time_in + connection.time_out, 3),
+        )
+        by_name[connection.name] = shades.setdefault(shared, style.CONNECTIONS[len(shades) % len(style.CONNECTIONS)])
+    return by_name
 
 
 def placed(atlas: Atlas, orbit: AtlasOrbit, winding: Sequence[int] = ()) -> Array:
-    """Return an orbit as a closed curve (M, N), shifted by turns.
+    """Return an orbit as a closed curve (M, N) of states, shifted by whole turns, to draw it where a connection ends.
 
     Args:
         atlas: atlas with the orbit.
@@ -170,16 +180,16 @@ def draw_cuts(
     sense: int | None = None,
     title: str = "",
 ) -> None:
-    """Draw both tubes' cuts of a kind and mark its connections.
+    """Draw both tubes' cuts of a kind on its section and mark its connections, which are points of both cuts.
 
     Args:
-        axes: panel.
-        atlas: with the kind.
-        kind: of connections.
+        axes: panel to draw on.
+        atlas: atlas with the kind.
+        kind: kind of connections.
         shown: marked connections, all by default.
-        numbers: labels by connection name.
+        numbers: labels of the marks by the connections' names, none by default.
         legend: True adds a key.
-        sense: drawn crossings, None for both.
+        sense: sign of the drawn crossings of the section, or None for both, with backward crossings dashed.
         title: title of the panel.
     """
     section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
@@ -190,19 +200,19 @@ def draw_cuts(
         line = "-" if direction > 0 or sense else (0, (4, 1.6))
         axes.plot(*points.T, color=BRANCHES[is_stable, 1], linewidth=1.3, linestyle=line, zorder=2)
     connections = connections_of(atlas, kind) if shown is None else shown
-    look = colours(connections)
-    for c in connections:
-        place = section_place(atlas, c)
-        axes.plot(*place, "o", color=look[c.name], markeredgecolor="white", markersize=7, zorder=4)
-        if numbers and c.name in numbers:
-            name_point(axes, numbers[c.name], (float(place[0]), float(place[1])), look[c.name])
+    tints = colours(connections)
+    for connection in connections:
+        place = section_place(atlas, connection)
+        axes.plot(*place, "o", color=tints[connection.name], markeredgecolor="white", markersize=7, zorder=4)
+        if numbers and connection.name in numbers:
+            name_point(axes, numbers[connection.name], (float(place[0]), float(place[1])), tints[connection.name])
     unit, momentum = (" (rad)", "p / p₀") if period else ("", "momentum")
     axes.set(title=title, xlabel=f"{coordinate} on the section{unit}", ylabel=momentum)
     if period:
         angle_axis(axes, "x")
-    every = len(connections_of(atlas, kind))
-    marked = f"{len(connections)} of {every} connections" if len(connections) < every else "connections"
-    key(axes, [*_LINES, (marked, {"color": style.INK, "marker": "o", "linestyle": ""})] if legend else [])
+    total = len(connections_of(atlas, kind))
+    entry = f"{len(connections)} of {total} connections" if len(connections) < total else "connections"
+    key(axes, [*_LINES, (entry, {"color": style.INK, "marker": "o", "linestyle": ""})] if legend else [])
 
 
 _LINES: list[tuple[str, str | dict[str, Any]]] = [
@@ -221,21 +231,23 @@ def row_of(
     numbers: dict[str, str],
     marked: tuple[AtlasConnection, ...] | None = None,
 ) -> list[Panel]:
-    """Return a row of panels: the cuts of a kind, and the flights of `shown` with their numbers.
+    """Return a row of panels: the cuts of a kind, and the flight of each connection of `shown`.
 
     Args:
-        atlas: with the kind.
-        kind: of the connections.
+        atlas: atlas with the kind.
+        kind: kind of the connections.
         shown: connections with a panel each.
-        numbers: labels by connection name.
-        marked: connections on the cuts; all by default.
+        numbers: labels by the connections' names, in the cuts and above the flights.
+        marked: connections that are marked on the cuts; all by default.
     """
-    look = colours(connections_of(atlas, kind) if marked is None else marked)
+    tints = colours(connections_of(atlas, kind) if marked is None else marked)
     flights = []
-    for c in shown:
-        turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in c.winding)
-        title = f"{numbers[c.name]}  {c.transversality_angle:.1f}° [{turns}]"
-        flights.append(partial(draw_motions, atlas=atlas, flights=[(c, look[c.name])], saddles=(), title=title))
+    for connection in shown:
+        turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in connection.winding)
+        title = f"{numbers[connection.name]}  {connection.transversality_angle:.1f}° [{turns}]"
+        flights.append(
+            partial(draw_motions, atlas=atlas, flights=[(connection, tints[connection.name])], saddles=(), title=title)
+        )
     cuts = Panel(partial(draw_cuts, atlas=atlas, kind=kind, shown=marked, numbers=numbers), 1.0)
     return [cuts, *(Panel(draw, _FLIGHTS / max(len(flights), 1)) for draw in flights)]
 
@@ -259,30 +271,32 @@ def draw_motions(
 
     Args:
         axes: panel in space or in the plane.
-        atlas: with the orbits.
+        atlas: atlas with the orbits.
         tubes: parts of tubes.
         flights: connections with their colours.
         saddles: saddles whose orbits are drawn at their named position in addition to those of flights, by default all.
-        title: of the panel.
+        title: title of the panel.
     """
     space = axes.name == "3d"
-    picked = [0, 1, len(atlas.periods) // 2][: 3 if space else 2]
+    # In space: the first two coordinates and the first rate; in the plane: the coordinates.
+    columns = [0, 1, len(atlas.periods) // 2][: 3 if space else 2]
     for tube in tubes:
         for states in tube.strands:
-            axes.plot(*states[:, picked].T, color=tube.colour, linewidth=0.5, alpha=0.8)
+            axes.plot(*states[:, columns].T, color=tube.colour, linewidth=0.5, alpha=0.8)
         for states in tube.ends:
-            axes.plot(*states[:, picked].T, color=style.CUT, linewidth=1.6, zorder=1.5)
+            axes.plot(*states[:, columns].T, color=style.CUT, linewidth=1.6, zorder=1.5)
+    # Orbits at the ends of flights, each as its saddle and the whole turns by which it is shifted.
     ends = {end for c, _ in flights for end in ((c.source, ()), (c.target, c.winding if any(c.winding) else ()))}
     for c, colour in flights:
-        axes.plot(*c.states[:, picked].T, color=colour, linewidth=1.1, zorder=8)
+        axes.plot(*c.states[:, columns].T, color=colour, linewidth=1.1, zorder=8)
         if not space:
             axes.plot(*c.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=9)
     look = {"linewidth": 2.5, "zorder": 10} if space else {"linewidth": 3.5, "alpha": 0.45, "zorder": 1}
     for orbit in atlas.orbits:
-        own_windings = {winding for saddle, winding in ends if saddle == orbit.saddle and orbit.family == 0}
-        for winding in own_windings | ({()} if saddles is None or orbit.saddle in saddles else set()):
+        windings = {winding for saddle, winding in ends if saddle == orbit.saddle and orbit.family == 0}
+        for winding in windings | ({()} if saddles is None or orbit.saddle in saddles else set()):
             closed = placed(atlas, orbit, winding)
-            axes.plot(*closed[:, picked].T, color=style.saddle_colour(orbit.saddle), **look)
+            axes.plot(*closed[:, columns].T, color=style.saddle_colour(orbit.saddle), **look)
     if space:
         quiet_space(axes, atlas, title)
     else:
@@ -294,7 +308,11 @@ def draw_motions(
 
 
 def draw_atlas(atlas: Atlas) -> Figure:
-    """Return the atlas on one page: tubes, orbits and flights in space, and the cuts of every kind."""
+    """Return the page of an atlas, which holds all that was computed at one energy.
+
+    It shows the periodic orbits, their tubes and the flights along connections in space. For each kind of connection it
+    shows the cuts of both tubes by the section.
+    """
     kinds = [kind for kind in atlas.kinds if connections_of(atlas, kind)]
     counts = f"{counted(len(atlas.orbits), 'orbit')}, {counted(len(atlas.connections), 'connection')}"
     energy = f"{atlas.energy:g}{atlas.unit('J')}"
@@ -310,6 +328,7 @@ def draw_atlas(atlas: Atlas) -> Figure:
 
 
 def _draw_whole(axes: Axes, atlas: Atlas) -> None:
+    """Draw the panel of the whole atlas in space: all tubes, orbits and flights, with the names of the orbits."""
     tubes = [part for cut in atlas.cuts for part in tubes_of_cut(atlas, cut)]
     draw_motions(axes, atlas, tubes, flights=[(c, style.INK) for c in atlas.connections])
     for k, orbit in enumerate(atlas.orbits):
@@ -319,7 +338,7 @@ def _draw_whole(axes: Axes, atlas: Atlas) -> None:
 
 
 def atlas(axes: Axes, shown: Atlas) -> None:
-    """Draw the cuts of the first kind of connections.
+    """Draw the cuts of the kind with most connections, the chart of an atlas that fits in one panel.
 
     Args:
         axes: panel to draw on.
@@ -330,7 +349,7 @@ def atlas(axes: Axes, shown: Atlas) -> None:
 
 
 def write_atlas_recording(atlas: Atlas, path: Path) -> None:
-    """Write the recording of an atlas to `path` (`*.rrd`) with its blueprint.
+    """Write an atlas as a recording for the Rerun viewer, with the layout (blueprint) in the same file.
 
     Args:
         atlas: atlas to write.
@@ -339,31 +358,34 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
     Raises:
         InputError: the recording cannot be written.
     """
-    rate = len(atlas.periods) // 2
+    first_rate = len(atlas.periods) // 2
     states = np.concatenate(
         [o.samples for o in atlas.orbits] + [c.strands.reshape(-1, len(atlas.periods)) for c in atlas.cuts]
     )
     # Fast passages close to a body would otherwise flatten the rest.
-    low, high = np.quantile(states[:, [0, 1, rate]], [0.02, 0.98], axis=0)
+    low, high = np.quantile(states[:, [0, 1, first_rate]], [0.02, 0.98], axis=0)
     size, spans = float(max((high - low)[:2])), np.maximum(high - low, 1e-12)
     factor = size / float(spans[2])
     view = _blueprint(atlas, centre=(low + high) / 2 * [1, 1, factor], size=size)
     name = f"{atlas.model} at {atlas.energy:g}{atlas.unit('J')}"
 
     def places(states: Array) -> Array:
-        return states[..., [0, 1, rate]] * [1, 1, factor]
+        """Return the drawn points (…, 3) of states (…, N): two coordinates, and the first rate at a similar scale."""
+        return states[..., [0, 1, first_rate]] * [1, 1, factor]
 
     with recording_to(path, name, view, atlas.status) as recording:
         for cut in atlas.cuts:
             for tube in tubes_of_cut(atlas, cut):
-                side, way = "stable" if tube.stable else "unstable", "plus" if tube.branch > 0 else "minus"
-                home = f"{_tube_path(cut)}/{side}_{way}"
+                stability, branch = "stable" if tube.stable else "unstable", "plus" if tube.branch > 0 else "minus"
+                home = f"{_tube_path(cut)}/{stability}_{branch}"
                 pale = [(*style.rgb(tube.colour), 110)]
                 record_curves(recording, home, [*map(places, tube.strands)], [tube.colour], 0.4, colors=pale)
                 record_curves(recording, f"{home}/cut", [*map(places, tube.ends)], [style.CUT], 0.8)
         for orbit in atlas.orbits:
-            lifts = {(0,) * rate} | {c.winding for c in atlas.connections if c.target == orbit.saddle}
-            copies = [places(placed(atlas, orbit, winding)) for winding in sorted(lifts)]
+            # A target orbit is recorded at its named position and wherever a connection reaches it, whole turns away.
+            windings = {(0,) * first_rate} | {c.winding for c in atlas.connections if c.target == orbit.saddle}
+            copies = [places(placed(atlas, orbit, winding)) for winding in sorted(windings)]
+            # Copies of an orbit share its label, which is written once.
             labels = [orbit.name, *[""] * (len(copies) - 1)]
             home, colour = f"space/orbits/{_path(orbit.name)}", style.saddle_colour(orbit.saddle)
             record_curves(recording, home, copies, [colour], 2.5, labels=labels)
@@ -372,31 +394,41 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
 
 
 def _path(name: str) -> str:
+    """Return a name as one part of a path in a recording, where only letters and digits are kept."""
     return "".join(letter if letter.isalnum() else "_" for letter in name)
 
 
 def _tube_path(cut: AtlasCut) -> str:
+    """Return the path of a cut's tubes in a recording, under which their strands and end curves are recorded."""
     return f"space/tubes/{_path(cut.saddle)}/hit_{cut.hit}_{_path(cut.section.name)}"
 
 
 def _connections(
     recording: rr.RecordingStream, places: Callable[[Array], Array], atlas: Atlas, kind: AtlasKind
 ) -> None:
-    """Record the flights of a kind."""
+    """Record the flights of a kind, each under a path that contains its name.
+
+    Args:
+        recording: recording to extend.
+        places: function from states (…, N) to drawn points (…, 3).
+        atlas: atlas with the kind.
+        kind: kind of connections.
+    """
     home = f"space/connections/{_path(kind.source)}_to_{_path(kind.target)}_{kind.hits[0]}_{kind.hits[1]}"
     connections = connections_of(atlas, kind)
-    look = colours(connections)
-    for k, c in enumerate(connections):
+    tints = colours(connections)
+    for k, connection in enumerate(connections):
         # The viewer shows the path under the pointer, which therefore contains the name.
-        flight = f"{home}/{k + 1}_{_path(c.name)}"
-        shown = {"labels": [c.name], "show_labels": False}
-        record_curves(recording, flight, [places(c.states)], [look[c.name]], 0.9, **shown)
+        flight = f"{home}/{k + 1}_{_path(connection.name)}"
+        label = {"labels": [connection.name], "show_labels": False}
+        record_curves(recording, flight, [places(connection.states)], [tints[connection.name]], 0.9, **label)
 
 
 def _blueprint(atlas: Atlas, *, centre: Array, size: float) -> rrb.Blueprint:
     """Return the layout, space with the summary beside it.
 
     At first only each saddle's tubes to one section are visible, because all together would hide everything.
+    `centre` is the drawn point (3,) that the eye looks at from a distance of about twice `size`.
     """
     axes = ", ".join(atlas.labels[k].partition(" ")[0] for k in (0, 1, len(atlas.labels) // 2))
     eye = centre + np.array([-1.0, -1.4, 0.8]) * size

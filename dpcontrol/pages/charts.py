@@ -15,13 +15,16 @@ from dpcontrol.pages.planes import Plane, Range, extreme_rows, gap_times
 from dpcontrol.pages.run_charts import Chart, Line
 
 _BINS = 1500
+"""Number of bins of a curve on a page; the least and the greatest value of each are drawn."""
 
 
 def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
-    """Return a series (K,) of a view, thinned to its peaks, with nan in its gaps to interrupt lines.
+    """Return a series (K,) with the points that suffice to draw it, and with nan in the gaps of a view.
+
+    The points are the extremes of narrow bins, so that long runs are drawn quickly and keep their peaks.
 
     Args:
-        view: run with the gaps.
+        view: run with the gaps, which interrupt the line.
         time: (K,) s.
         values: (K,) in any unit.
     """
@@ -45,7 +48,7 @@ MOST_MARKED = 20
 def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = None) -> None:
     """Draw a chart's lines, bands, levels and limits.
 
-    A line of a view other than `view` has no gaps.
+    Lines are interrupted at the gaps of `view`, also those of other runs.
 
     Args:
         axes: panel to draw on.
@@ -76,9 +79,9 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
     entries |= _levels(axes, chart, scale=scale)
     if span is not None:
         axes.set_xlim(*span)
-        within = [at for at, _ in view.plan.symbols if span[0] <= at <= span[1]]
-        for at in within if len(within) <= MOST_MARKED else ():
-            axes.axvline(at, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
+        symbol_times = [symbol_time for symbol_time, _ in view.plan.symbols if span[0] <= symbol_time <= span[1]]
+        for symbol_time in symbol_times if len(symbol_times) <= MOST_MARKED else ():
+            axes.axvline(symbol_time, color=style.MARK, linewidth=0.9, linestyle=style.DOTTED, zorder=1.5)
     if len(entries) > MOST_IN_KEY:
         name_curves(axes, list(ends.values()))
     else:
@@ -87,27 +90,47 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
 
 
 def _levels(axes: Axes, chart: Chart, *, scale: float) -> dict[str, dict[str, Any]]:
-    """Draw limits, which widen the axis if they are near its range, a band, and levels; return two levels' key."""
+    """Draw the constants of a chart: limits, an expected band, and named levels.
+
+    Limits near the range of the curves widen the axis. One or two visible named levels are returned as entries of the
+    key; more would not fit, and are only drawn.
+
+    Args:
+        axes: panel with the curves.
+        chart: chart with the levels.
+        scale: factor from SI units to those of the panel.
+    """
     low, high = axes.get_ylim()
     reach = 0.35 * (high - low)
     limits = [scale * level.value for level in chart.levels if level.kind == "limit"]
-    near = [value for value in limits if low - reach < value < high + reach]
-    for value in near:
+    near_limits = [value for value in limits if low - reach < value < high + reach]
+    for value in near_limits:
         axes.axhline(value, color=style.LIMIT, linewidth=1.1, linestyle=style.DASHED)
         axes.axhspan(value, 1e3 * value, color=style.LIMIT, alpha=0.08, linewidth=0)
     band = [scale * level.value for level in chart.levels if level.kind == "band"]
     if band:
         axes.axhspan(min(band), max(band), color=style.MODES["holding"], alpha=0.35, linewidth=0)
-    low, high = min([low, *(1.06 * value for value in near)]), max([high, *(1.06 * value for value in near)])
+    low, high = (
+        min([low, *(1.06 * value for value in near_limits)]),
+        max([high, *(1.06 * value for value in near_limits)]),
+    )
     axes.set_ylim(low, high)
-    named = [level for level in chart.levels if level.kind == "named" and low <= level.value <= high]
-    for level in named:
+    named_levels = [level for level in chart.levels if level.kind == "named" and low <= level.value <= high]
+    for level in named_levels:
         axes.axhline(level.value, color=level.colour, linewidth=1.0, linestyle=style.DASHED)
-    few = [level for level in named if level.name] if len(named) <= 2 else []
-    return {level.name: {"color": level.colour, "linewidth": 1.0, "linestyle": style.DASHED} for level in few}
+    levels_in_key = [level for level in named_levels if level.name] if len(named_levels) <= 2 else []
+    return {level.name: {"color": level.colour, "linewidth": 1.0, "linestyle": style.DASHED} for level in levels_in_key}
 
 
 def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
+    """Draw a line of a chart, with its band; a reference is broad and pale behind the others.
+
+    Args:
+        axes: panel to draw on.
+        line: line to draw.
+        view: run with the gaps that interrupt it.
+        scale: factor from SI units to those of the panel.
+    """
     time, values = curve(view, line.time, scale * line.values)
     look: dict[str, Any] = {"color": line.colour, "linewidth": line.width, "linestyle": "-"}
     if line.role == "reference":
@@ -132,19 +155,19 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
         runs: phase planes, each with a colour.
         tubes: True to draw the tubes.
     """
-    first, _ = runs[0]
-    number, ends = style.number(first.arm), ", from ○ to ■" if len(runs) == 1 else ""
-    axes.set(title=f"Arm {first.arm + 1}: ω{number} (rad/s) over θ{number}{ends}")
-    for stable, colour, text in ((False, style.UNSTABLE, "tubes from"), (True, style.STABLE, "to them")):
-        if tubes and first.strands[stable]:
-            axes.plot(*_joined(first.strands[stable]), color=colour, linewidth=0.45, alpha=0.35, zorder=1.2)
-            axes.plot(*_joined(first.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5, label=text)
-    named: list[str] = []
-    for colour, points in first.orbits:
+    first_plane, _ = runs[0]
+    number, ends = style.number(first_plane.arm), ", from ○ to ■" if len(runs) == 1 else ""
+    axes.set(title=f"Arm {first_plane.arm + 1}: ω{number} (rad/s) over θ{number}{ends}")
+    for stable, colour, name in ((False, style.UNSTABLE, "tubes from"), (True, style.STABLE, "to them")):
+        if tubes and first_plane.strands[stable]:
+            axes.plot(*_joined(first_plane.strands[stable]), color=colour, linewidth=0.45, alpha=0.35, zorder=1.2)
+            axes.plot(*_joined(first_plane.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5, label=name)
+    kinds_in_key: list[str] = []
+    for colour, points in first_plane.orbits:
         # An equilibrium is a single point.
         kind, look = ("orbits", _ORBIT) if len(points) > 3 else ("equilibria", _REST)
-        label = kind if kind not in named else None
-        named.append(kind)
+        label = kind if kind not in kinds_in_key else None
+        kinds_in_key.append(kind)
         axes.plot(*points.T, color=colour, zorder=1.5, alpha=0.75 if tubes else 0.4, label=label, **look)
     for plane, colour in runs:
         (start, end), face = plane.ends, style.PAPER
@@ -158,7 +181,7 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
 
 
 def _joined(curves: list[Array]) -> Array:
-    """Return curves (K, 2) as one (2, M), separated by nan."""
-    apart = np.full((1, 2), np.nan)
-    parts = [part for points in curves for part in (points, apart)]
+    """Return curves (K, 2) as one curve (2, M) interrupted by nan, so that one call draws all of them quickly."""
+    gap = np.full((1, 2), np.nan)
+    parts = [part for points in curves for part in (points, gap)]
     return np.concatenate(parts).T if parts else np.zeros((2, 0))

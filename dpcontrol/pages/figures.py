@@ -20,12 +20,12 @@ from dpcontrol.walks.atlas import Atlas
 
 @cache
 def model_named(name: str) -> Model:
-    """Return a model, loaded once for all figures."""
+    """Return a shipped model by name, loaded once for all figures of the paper."""
     return load_model(name)
 
 
 def atlas_at(energy: float, *, model: str = "lab", hits: tuple[int, int] | None = (1, 1)) -> Atlas:
-    """Return a cached atlas.
+    """Return the atlas of an energy, from the cache if it was computed before, for a figure of the paper.
 
     Args:
         energy: energy in the model's unit.
@@ -37,7 +37,13 @@ def atlas_at(energy: float, *, model: str = "lab", hits: tuple[int, int] | None 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure with its caption and its differences from the paper."""
+    """A figure of the paper as drawn here.
+
+    Attributes:
+        figure: the page.
+        caption: text below it.
+        differs: differences from the paper's figure.
+    """
 
     figure: Figure
     caption: str
@@ -48,6 +54,13 @@ IDENTIFIED = "Parameters are the rig's identified ones; those printed in the pap
 
 
 def _page(place: str, progress: Progress, **how: Any) -> PaperFigure:
+    """Return a figure of the paper from the function that draws it, whose module is imported only now.
+
+    Args:
+        place: `module:function` within `dpcontrol.pages.paper`.
+        progress: receiver of progress reports.
+        **how: further arguments of the function.
+    """
     module, _, function = place.partition(":")
     return getattr(import_module(f"dpcontrol.pages.paper.{module}"), function)(progress, **how)
 
@@ -116,12 +129,12 @@ def draw_figures(names: Sequence[str], folder: Path, *, progress: Progress = no_
         InputError: a name is unknown, or the folder is not writable.
     """
     check_choice("figure", FIGURES, *names)
-    chosen = list(dict.fromkeys(names)) or list(FIGURES)
-    drawn = []
-    for k, name in enumerate(chosen):
-        progress(name, k / len(chosen))
-        page = FIGURES[name](part_of(progress, k / len(chosen), (k + 1) / len(chosen)))
+    figure_names = list(dict.fromkeys(names)) or list(FIGURES)
+    drawn_figures = []
+    for k, name in enumerate(figure_names):
+        progress(name, k / len(figure_names))
+        page = FIGURES[name](part_of(progress, k / len(figure_names), (k + 1) / len(figure_names)))
         file = Path(folder) / f"{name}.png"
         save_figure(page.figure, file)
-        drawn.append(Drawn(name, file, page.caption, page.differs))
-    return DrawnFigures(tuple(drawn))
+        drawn_figures.append(Drawn(name, file, page.caption, page.differs))
+    return DrawnFigures(tuple(drawn_figures))

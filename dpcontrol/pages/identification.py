@@ -14,7 +14,7 @@ USED, LEFT, _BEFORE, LINE = style.REFERENCE, style.SERIES[1], style.NOTE, style.
 
 
 def draw_identification(identification: Identification, *, title: str = "Identified arms") -> Figure:
-    """Return the page on an identification as a figure.
+    """Return the page on an identification as a figure: candidates, prediction errors, and errors' correlations.
 
     Args:
         identification: identification to draw.
@@ -31,7 +31,7 @@ def draw_identification(identification: Identification, *, title: str = "Identif
 
 
 def draw_candidates(axes: Axes, identification: Identification) -> None:
-    """Draw each candidate's errors on the segments left out.
+    """Draw the prediction errors of each candidate, a set of model terms, on the segments that no fit used.
 
     Args:
         axes: panel to draw on.
@@ -39,11 +39,11 @@ def draw_candidates(axes: Axes, identification: Identification) -> None:
     """
     rows = [
         ("the starting model", identification.started_at),
-        *((" + ".join(c.terms), c.left_out) for c in identification.candidates),
+        *((" + ".join(candidate.terms), candidate.left_out) for candidate in identification.candidates),
     ]
     for y, (_, rms) in enumerate(rows):
-        chosen = y == identification.chosen + 1
-        axes.plot(1e3 * rms, np.full(len(rms), y), "o", color=LEFT if chosen else USED, markersize=4)
+        is_chosen = y == identification.chosen + 1
+        axes.plot(1e3 * rms, np.full(len(rms), y), "o", color=LEFT if is_chosen else USED, markersize=4)
         axes.plot(1e3 * np.sqrt((rms**2).mean()), y, "|", color=_BEFORE, markersize=14, markeredgewidth=2)
     axes.set(
         title="Terms tried; the chosen ones in colour",
@@ -56,9 +56,9 @@ def draw_candidates(axes: Axes, identification: Identification) -> None:
 
 
 def _errors(axes: Axes, identification: Identification) -> None:
-    """Draw the residual angles over time, on the segments left out."""
-    shown = [k for k, s in enumerate(identification.segments) if not s.used]
-    for k in shown:
+    """Draw the measured less the predicted angles over time, mrad, on the segments that the fit did not use."""
+    segments_left_out = [k for k, segment in enumerate(identification.segments) if not segment.used]
+    for k in segments_left_out:
         residual, period = identification.residuals[k], identification.swings[k].period
         times = identification.segments[k].start + period * np.arange(len(residual))
         for arm in range(residual.shape[1]):
@@ -69,6 +69,7 @@ def _errors(axes: Axes, identification: Identification) -> None:
 
 
 def _correlation(axes: Axes, identification: Identification) -> None:
+    """Draw the correlation matrix of the errors of the identified parameters, from -1 in blue to 1 in red."""
     image = axes.imshow(np.nan_to_num(identification.correlation), cmap="RdBu_r", vmin=-1, vmax=1)
     names = [name.partition("/")[0] for name in identification.names]
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)

@@ -86,7 +86,7 @@ class Page:
     rows: list[tuple[float, Callable[[SubFigure], None]]] = field(default_factory=list)
 
     def row(self, *items: Item, height: float) -> "Page":
-        """Add panels beside one another.
+        """Add a row of panels beside one another below the rows that the page has.
 
         Args:
             *items: panels, stacks or functions that draw.
@@ -116,17 +116,18 @@ class Page:
             rows: texts by row.
             heading: texts above the columns.
         """
-        every = [heading, *rows] if heading else rows
+        lines = [heading, *rows] if heading else rows
 
         def draw(axes: Axes) -> None:
+            """Draw the table without lines, with columns as wide as their texts."""
             axes.axis("off")
-            shown = axes.table(every, loc="upper left", cellLoc="left", edges="open")
-            shown.auto_set_font_size(False)
-            shown.set_fontsize(style.TEXT)
-            shown.auto_set_column_width(range(len(every[0])))
-            shown.set_in_layout(False)
+            table = axes.table(lines, loc="upper left", cellLoc="left", edges="open")
+            table.auto_set_font_size(False)
+            table.set_fontsize(style.TEXT)
+            table.auto_set_column_width(range(len(lines[0])))
+            table.set_in_layout(False)
 
-        return self.row(draw, height=2 * _EDGE + max(len(every), 1) * _height(style.TEXT))
+        return self.row(draw, height=2 * _EDGE + max(len(lines), 1) * _height(style.TEXT))
 
     def text(self, text: str, *, colour: str = style.NOTE, size: float = style.SMALL) -> "Page":
         """Add a paragraph, wrapped to the width of the page; an empty text adds nothing.
@@ -141,6 +142,7 @@ class Page:
             height = len(lines) * _height(size) + 0.5 * _EDGE
 
             def write(part: SubFigure) -> None:
+                """Write the paragraph into its part of the figure."""
                 place = 0.5 * _EDGE / self.width, 1 - 0.25 * _EDGE / height
                 part.text(*place, "\n".join(lines), fontsize=size, color=colour, va="top", linespacing=_LINE)
 
@@ -148,11 +150,11 @@ class Page:
         return self
 
     def origin(self, path: Path | None, *conditions: str) -> "Page":
-        """Add the conditions of what the page shows, and the file that it shows with its date.
+        """Add the conditions of what the page shows, and the name and date of the file that it shows.
 
         Args:
-            path: file, which may exist in memory only; None for what this program has computed today.
-            *conditions: conditions; empty ones are left out.
+            path: file, which may exist in memory only. None stands for a result that this program has computed today.
+            *conditions: conditions, such as model and energy; empty ones are left out.
         """
         if path is None:
             return self.text("; ".join(filter(None, (*conditions, f"{PROGRAM}, {date.today()}"))))
@@ -160,28 +162,29 @@ class Page:
         return self.text("; ".join(filter(None, (*conditions, f"{path.name}{day}"))))
 
     def figure(self) -> Figure:
-        """Return the page as a figure."""
+        """Return the page as a figure, with title and verdict above the rows in the order in which they were added."""
         # Bold letters are wider than those that are measured.
         head = Page("", width=self.width / 1.12).text(self.title, colour=style.INK, size=style.TITLE)
-        result = Page("", width=self.width).text(
+        verdict = Page("", width=self.width).text(
             self.verdict, colour=style.verdict_colour(self.good), size=style.VERDICT
         )
-        rows = [*head.rows, *result.rows, *self.rows]
+        rows = [*head.rows, *verdict.rows, *self.rows]
         heights = [height for height, _ in rows]
         with rc_context(style.PRINTED):
             figure = new_figure(self.width, sum(heights) + _EDGE)
             # The last part is the page's lower edge.
-            parts = figure.subfigures(len(rows) + 1, 1, squeeze=False, height_ratios=[*heights, _EDGE])[:, 0]
-            for part, (_, draw) in zip(parts, rows, strict=False):
-                part.set_facecolor("none")
-                draw(part)
+            subfigures = figure.subfigures(len(rows) + 1, 1, squeeze=False, height_ratios=[*heights, _EDGE])[:, 0]
+            for subfigure, (_, draw) in zip(subfigures, rows, strict=False):
+                subfigure.set_facecolor("none")
+                draw(subfigure)
             if self.title:
-                parts[0].texts[0].set_weight("bold")
+                subfigures[0].texts[0].set_weight("bold")
             settle(figure)
         return figure
 
 
 def _free(axes: Axes) -> None:
+    """Leave a place of a grid empty."""
     axes.axis("off")
 
 
@@ -191,6 +194,10 @@ def _height(size: float) -> float:
 
 
 def _row(part: SubFigure, items: Sequence[Item]) -> None:
+    """Draw the items of a row side by side into its part of the figure, with widths in proportion to their shares.
+
+    If there is a stack, each item gets a subfigure. Otherwise all panels share one grid, which aligns them.
+    """
     shares = [getattr(item, "share", 1.0) for item in items]
     if any(isinstance(item, Stack) for item in items):
         columns = part.subfigures(1, len(items), squeeze=False, width_ratios=shares)[0]
@@ -202,6 +209,7 @@ def _row(part: SubFigure, items: Sequence[Item]) -> None:
 
 
 def _grid(part: SubFigure, items: Sequence[Panel | Draw], *, across: bool) -> None:
+    """Draw panels into one grid: beside one another if `across`, otherwise below one another, sized by their shares."""
     panels = [item if isinstance(item, Panel) else Panel(item) for item in items]
     shares = [panel.share for panel in panels]
     shape = (1, len(panels)) if across else (len(panels), 1)
@@ -218,6 +226,7 @@ class ShownFigure(Figure):
     """
 
     def _repr_png_(self) -> bytes:
+        """Return the picture that IPython shows below a cell, as PNG."""
         _literal_texts(self)
         picture = BytesIO()
         self.savefig(picture, format="png")
@@ -230,8 +239,8 @@ class ShownFigure(Figure):
 
         `warn` has no effect; pyplot warns if its backend has no windows.
         """
-        shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-        if hasattr(shell, "kernel"):
+        notebook = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+        if hasattr(notebook, "kernel"):
             sys.modules["IPython"].display.display(self)
             return
         from matplotlib import pyplot
@@ -245,7 +254,7 @@ class ShownFigure(Figure):
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure.
+    """Return an empty figure without pyplot, on which matplotlib's constrained layout arranges the panels.
 
     Args:
         width: width in inches.
@@ -258,9 +267,9 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def _literal_texts(figure: Any) -> None:
-    """Draw texts literally.
+    """Make a figure draw its texts literally, because names of files and models may contain any character.
 
-    A dollar sign begins no formula, and control characters are written out.
+    A dollar sign then begins no formula, and control characters are written out.
     """
     for text in figure.findobj(Text):
         # The tick labels of a logarithmic axis are formulas of matplotlib.
@@ -295,7 +304,7 @@ def save_figure(figure: Figure, path: Path | str) -> None:
 
 @cache
 def text_width(text: str, size: float) -> float:
-    """Return the width of a line of text, inches.
+    """Return the width of a line of text as drawn, inches, by which texts are wrapped and placed.
 
     Args:
         text: text of the line.
@@ -309,7 +318,7 @@ def text_width(text: str, size: float) -> float:
 
 
 def wrapped(text: str, size: float, width: float) -> list[str]:
-    """Return a text as lines within a width, with longer words broken.
+    """Return a text as lines that fit into a width, with longer words broken.
 
     Args:
         text: text to wrap.
@@ -353,22 +362,29 @@ MOST_IN_KEY = 4
 
 
 def settle(figure: Figure) -> None:
-    """Arrange titles, keys and labels of points: titles are wrapped to their panels' widths and moved above keys."""
+    """Arrange titles, keys and labels of points after all panels of a figure have been drawn.
+
+    Only then their widths are known. Titles are wrapped to the widths of their panels; a key is placed beside its title
+    if both fit, otherwise below it, in one or two rows. Labels of points are moved so that they cover little.
+    """
     _literal_texts(figure)
     figure.draw_without_rendering()
     for axes in figure.axes:
-        inches = axes.get_window_extent().width / figure.dpi
+        panel_width = axes.get_window_extent().width / figure.dpi
         title, legend, pad = axes.get_title(loc="left"), axes.get_legend(), 4.0
         if legend is not None and legend.get_gid() == _KEY:
-            wide = legend.get_window_extent().width / figure.dpi
-            beside, narrow = text_width(title, style.HEAD) + wide + 0.15 < inches, wide < inches + 0.3
+            key_width = legend.get_window_extent().width / figure.dpi
+            beside, narrow = (
+                text_width(title, style.HEAD) + key_width + 0.15 < panel_width,
+                key_width < panel_width + 0.3,
+            )
             if beside:
                 legend.set_loc("lower right")
                 legend.set_bbox_to_anchor((1.0, 1.0), transform=axes.transAxes)
             legend.set_ncols(4 if narrow else 2)
             pad += 0.0 if beside else (1 if narrow else 2) * (style.SMALL * _LINE + 2)
         if title:
-            lines = wrapped(title, style.HEAD, max(inches, 0.8)) if axes.name != "3d" else [title]
+            lines = wrapped(title, style.HEAD, max(panel_width, 0.8)) if axes.name != "3d" else [title]
             axes.set_title("\n".join(lines), loc="left", fontsize=style.HEAD, color=style.INK, pad=pad)
         _turn_aside(axes, [text for text in axes.texts if text.get_gid() == BESIDE and text.get_text()])
 
@@ -384,7 +400,11 @@ _COVERS, _CROSSES = 1000.0, 30.0
 
 
 def _turn_aside(axes: Axes, labels: list[Any]) -> None:
-    """Move labels round their points, and away from them, so that they cover little and their lines cross little."""
+    """Move labels round their points, and away from them, so that they cover little and their lines cross little.
+
+    The labels are annotations of `name_point`. Each in turn takes the place of least cost; a line connects it to its
+    point if it is far away.
+    """
     taken = [box for line in axes.lines if labels and line.get_marker() not in ("None", "") for box in _marks(line)]
     curves = [line.get_path().transformed(line.get_transform()) for line in axes.lines if labels]
     for label in labels:
@@ -398,26 +418,41 @@ def _turn_aside(axes: Axes, labels: list[Any]) -> None:
 
 
 def _cost(place: tuple[int, int], label: Any, axes: Axes, taken: list[Bbox], curves: list[LinePath]) -> float:
-    """Return the cost of a place of a label, infinite outside the panel."""
+    """Return the cost of a place of a label, in points, infinite if the label would reach beyond the panel.
+
+    The cost is the distance from the label's point plus penalties. They count covered marks and labels, crossed curves,
+    other marks nearer to the label than its own point, and boxes that the line to the point crosses.
+
+    Args:
+        place: offset (x, y) of the label from its point, points.
+        label: annotation of the point.
+        axes: panel.
+        taken: boxes of marks and of labels that are already placed, pixels.
+        curves: drawn curves, pixels.
+    """
     box, point = _beside(label, place), axes.transData.transform(label.xy)
     end = np.clip(point, box.min, box.max)
-    spots = np.reshape([other.get_points().mean(axis=0) for other in taken], (-1, 2))
-    nearer = np.hypot(*(spots - np.clip(spots, box.min, box.max)).T) < np.hypot(*(end - point)) - 1
-    crossed = sum(curve.intersects_bbox(box, filled=False) for curve in curves)
-    struck = sum(LinePath([point, end]).intersects_bbox(other, filled=False) for other in taken)
+    centres = np.reshape([box_taken.get_points().mean(axis=0) for box_taken in taken], (-1, 2))
+    nearer_marks = np.hypot(*(centres - np.clip(centres, box.min, box.max)).T) < np.hypot(*(end - point)) - 1
+    crossed_curves = sum(curve.intersects_bbox(box, filled=False) for curve in curves)
+    struck_boxes = sum(LinePath([point, end]).intersects_bbox(box_taken, filled=False) for box_taken in taken)
     if not all(axes.bbox.contains(*corner) for corner in (box.min, box.max)):
         return np.inf
-    return max(map(abs, place)) + _COVERS * box.count_overlaps(taken) + _CROSSES * (crossed + nearer.sum() + 4 * struck)
+    return (
+        max(map(abs, place))
+        + _COVERS * box.count_overlaps(taken)
+        + _CROSSES * (crossed_curves + nearer_marks.sum() + 4 * struck_boxes)
+    )
 
 
 def _beside(label: Any, place: tuple[float, float]) -> Bbox:
-    """Move a label to a place beside its point and return its box."""
+    """Move a label to a place (x, y) beside its point, points, and return the box that it then covers, pixels."""
     x, y = np.sign(place)
     label.set(position=place, ha=("center", "left", "right")[x], va=("center", "bottom", "top")[y])
     return label.get_window_extent()
 
 
 def _marks(line: Line2D) -> list[Bbox]:
-    """Return the boxes of a line's marks, pixels."""
+    """Return the box of each mark of a line's points, pixels, which labels should not cover."""
     half = (line.get_markersize() / 2 + 1) * line.get_figure(root=True).dpi / 72  # type: ignore[union-attr]
     return [Bbox([spot - half, spot + half]) for spot in line.get_transform().transform(line.get_xydata())]

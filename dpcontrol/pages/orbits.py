@@ -27,6 +27,7 @@ from dpcontrol.pages.panels import name_point, quiet_plane
 Orbit = LyapunovOrbit | RotatingOrbit
 Family = LyapunovFamily | RotatingFamily
 _SHAPES, _ROTATING_SHAPES = 12, 3
+"""Numbers of drawn orbits of a family about a saddle, and of a family of rotating orbits."""
 _SHADES = colormaps["viridis"]
 _KINDS = {
     "elliptic": style.GOOD,
@@ -38,7 +39,7 @@ _KINDS = {
 
 
 def draw_family(family: LyapunovFamily) -> Figure:
-    """Return the page on a family of Lyapunov orbits as a figure."""
+    """Return the page on a family of Lyapunov orbits: multipliers and periods against energy, and orbits in a plane."""
     page = Page(f"Lyapunov orbits about {family.saddle} of {family.system.name}")
     over = Stack([partial(_multipliers, family=family), partial(_periods, families=[family])])
     page.origin(None, *conditions(family.system, family.energies))
@@ -46,7 +47,10 @@ def draw_family(family: LyapunovFamily) -> Figure:
 
 
 def draw_rotating_families(search: RotatingFamilies) -> Figure:
-    """Return the page on rotating orbits as a figure."""
+    """Return the page on families of periodic orbits that turn an arm over.
+
+    It shows the traces of the section's map, which give the stability, and the periods against energy, and some orbits.
+    """
     families = search.families
     system = families[0].members[0].system
     page = Page(f"Orbits of {system.name} that turn the {search.arm} arm over")
@@ -70,7 +74,15 @@ def conditions(system: System, energies: Sequence[float] | Array) -> tuple[str, 
 
 
 def _against_energy(axes: Axes, families: Sequence[Family], value: Callable[..., float]) -> None:
-    """Draw a value of the orbits against energy, rotating orbits coloured by stability, with named events."""
+    """Draw a value of the orbits of families against energy, with marks where a family branches, changes or folds.
+
+    Rotating orbits are coloured by their stability.
+
+    Args:
+        axes: panel to draw on.
+        families: families of one system.
+        value: function from an orbit to the drawn value.
+    """
     for family in families:
         values = np.array([value(member) for member in family.members])
         if isinstance(family, LyapunovFamily):
@@ -87,6 +99,7 @@ def _against_energy(axes: Axes, families: Sequence[Family], value: Callable[...,
 
 
 def _periods(axes: Axes, families: Sequence[Family], title: str = "") -> None:
+    """Draw the periods of families against energy."""
     unit = families[0].members[0].system.unit
     _against_energy(axes, families, attrgetter("period"))
     period = f"period{unit('s', ' ({})')}"
@@ -94,19 +107,24 @@ def _periods(axes: Axes, families: Sequence[Family], title: str = "") -> None:
 
 
 def _multipliers(axes: Axes, family: LyapunovFamily) -> None:
+    """Draw the size of the unstable Floquet multiplier of Lyapunov orbits against energy, on a logarithmic axis."""
     _against_energy(axes, [family], lambda orbit: abs(orbit.floquet_multipliers[0]))
     axes.set(title="Unstable Floquet multiplier", yscale="log")
 
 
 def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    """Draw the traces of the section maps of rotating orbits against energy.
+
+    An orbit is stable between the dashed values -2 and 2. The axis is linear about zero and logarithmic beyond.
+    """
     _against_energy(axes, families, attrgetter("trace"))
     axes.set_yscale("symlog", linthresh=4)
     axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
     for critical in (2, -2):
         axes.axhline(critical, color=style.FAINT, linewidth=1.0, linestyle="--")
     axes.set(title="Trace of the section's map, ±2 dashed; at dots stability changes or the family folds")
-    seen = {member.kind for family in families for member in family.members}
-    key(axes, [(kind, colour) for kind, colour in _KINDS.items() if kind in seen])
+    drawn_kinds = {member.kind for family in families for member in family.members}
+    key(axes, [(kind, colour) for kind, colour in _KINDS.items() if kind in drawn_kinds])
 
 
 def _shapes(axes: Axes, family: LyapunovFamily) -> None:
@@ -115,11 +133,11 @@ def _shapes(axes: Axes, family: LyapunovFamily) -> None:
     birth = float(system.numeric.hamiltonian(system.equilibrium(family.saddle)))
     # Evenly spaced in amplitude, which grows as the root of the energy above the saddle.
     amplitude = np.sqrt(np.abs(family.energies - birth))
-    wanted = np.linspace(amplitude.min(), amplitude.max(), _SHAPES)
-    chosen = [members[k] for k in dict.fromkeys(int(np.argmin(np.abs(amplitude - a))) for a in wanted)]
-    columns = _active(chosen[-1])
+    amplitudes = np.linspace(amplitude.min(), amplitude.max(), _SHAPES)
+    orbits = [members[k] for k in dict.fromkeys(int(np.argmin(np.abs(amplitude - target))) for target in amplitudes)]
+    columns = _active(orbits[-1])
     # Small orbits are drawn on top, because they lie within the large ones.
-    for orbit in reversed(chosen):
+    for orbit in reversed(orbits):
         axes.plot(*orbit.sample(300)[:, columns].T, color=_SHADES(scale(orbit.energy)), linewidth=1.3)
     axes.plot(*system.equilibrium(family.saddle)[list(columns)], "+", color=style.LIMIT, markersize=9, zorder=5)
     quiet_plane(axes, system, columns, f"Orbits about {family.saddle}")
@@ -128,13 +146,17 @@ def _shapes(axes: Axes, family: LyapunovFamily) -> None:
 
 
 def _active(orbit: Orbit) -> tuple[int, int]:
-    """Return the columns of the angle and rate that change most, or of both positions of a system without angles."""
+    """Return the two columns of the states that show an orbit best in a plane.
+
+    They are the angle that changes most and its rate, or both positions in a system without angles.
+    """
     n = orbit.system.dimension // 2
     arm = int(np.argmax(np.ptp(orbit.sample(400)[:, :n], axis=0)))
     return (arm, n + arm) if orbit.system.si else (0, 1)
 
 
 def _rotations(axes: Axes, families: Sequence[RotatingFamily]) -> None:
+    """Draw a few rotating orbits of each family in the plane of the angles, coloured by stability."""
     for family in families:
         for k in np.unique(np.rint(np.linspace(0, len(family.members) - 1, _ROTATING_SHAPES)).astype(int)):
             orbit = family.members[k]

@@ -70,28 +70,33 @@ class Report(Documented):
 
 
 def draw(motion: RunView | RunLog | Plan) -> Figure:
-    """Return the page of a motion as a figure.
+    """Return the page of a motion as a figure: verdict, limits, story, film, phase planes and charts over time.
 
     Args:
         motion: motion to draw.
     """
     view: RunView = view_of(motion)
     page = Page(view.title, view.verdict, view.good).origin(view.path, *conditions_of(view.metadata))
-    for line in (closest_approach(view), nis_reading(view)):
-        page.text(line, colour=style.INK, size=style.TEXT)
+    for sentence in (closest_approach(view), nis_reading(view)):
+        page.text(sentence, colour=style.INK, size=style.TEXT)
     if uses := limit_uses(view):
         page.row(partial(_uses, uses=uses), height=_AROUND + _USE * len(uses))
     add_story(page, view)
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
-    shown = [*motion_charts(view), *check_charts(view), *extra_charts(view)]
+    charts_of_motion = [*motion_charts(view), *check_charts(view), *extra_charts(view)]
     planes = [partial(draw_plane, runs=[(plane(view, arm), style.PLANT)]) for arm in range(min(view.arms, 2))]
-    _add_charts(page, shown, partial(draw_chart, view=view, span=view.time_range), planes)
+    _add_charts(page, charts_of_motion, partial(draw_chart, view=view, span=view.time_range), planes)
     return page.figure()
 
 
 def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
-    """Draw the largest values as shares of their limits, the largest share at the top."""
+    """Draw the largest values as shares of their limits, red if they are near their limit.
+
+    Args:
+        axes: panel to draw on.
+        uses: largest values, the one with the largest share first.
+    """
     rows = [
         Bar(use.name, min(use.share, _FULL), style.LIMIT if use.share > _NEAR else style.CART, note=use.sentence)
         for use in uses
@@ -103,17 +108,25 @@ def _uses(axes: Axes, uses: Sequence[LimitUse]) -> None:
 
 
 def _add_charts(page: Page, charts: Sequence[Chart], drawn: Callable[..., None], planes: Sequence[Draw]) -> None:
-    """Add a row of charts in two columns beside the phase planes; only the last chart of a column has a time axis."""
+    """Add a row of charts in two columns beside the phase planes; only the last chart of a column has a time axis.
+
+    Args:
+        page: page to extend.
+        charts: charts over time.
+        drawn: function that draws the chart `chart` on axes.
+        planes: functions that draw the phase planes.
+    """
     half = (len(charts) + 1) // 2
     columns = [
-        Stack([partial(_chart, chart=chart, drawn=drawn, last=chart is some[-1]) for chart in some], share=1.05)
-        for some in (charts[:half], charts[half:])
-        if some
+        Stack([partial(_chart, chart=chart, drawn=drawn, last=chart is column[-1]) for chart in column], share=1.05)
+        for column in (charts[:half], charts[half:])
+        if column
     ]
     page.row(*columns, Stack(planes), height=_TALL * max(half, 3))
 
 
 def _chart(axes: Axes, chart: Chart, drawn: Callable[..., None], *, last: bool) -> None:
+    """Draw a chart of a column with `drawn`; charts above the last one share the last one's time axis."""
     drawn(axes, chart)
     if not last:
         axes.set_xlabel("")
@@ -121,7 +134,11 @@ def _chart(axes: Axes, chart: Chart, drawn: Callable[..., None], *, last: bool) 
 
 
 def view_of(result: Any) -> Any:
-    """Return the motion to draw of a run, a plan, a log, a sustained orbit or a walk, or the object itself."""
+    """Return the motion of a result as pages and films draw it, or the object itself if it is one or has none.
+
+    Args:
+        result: run, plan, log, sustained orbit or walk, for example.
+    """
     result = getattr(result, "log", result)
     match result:
         case Plan():
@@ -155,7 +172,10 @@ _FILMED = 2
 
 
 def draw_comparison(comparison: RunComparison) -> Figure:
-    """Return the page of a comparison as a figure."""
+    """Return the page of several runs on one clock, on which a symbol's crossing has the same time in all.
+
+    Each run has its verdict and story, two runs also have films. Charts and phase planes show all runs together.
+    """
     runs = comparison.runs
     page = Page(comparison.title, comparison.status)
     # All films have the times of the run that ends first.
@@ -176,14 +196,18 @@ def draw_comparison(comparison: RunComparison) -> Figure:
 
 
 def _draw_compared(axes: Axes, chart: Chart, comparison: RunComparison) -> None:
+    """Draw a chart of several runs on one clock, with a dotted line at the moment at which the runs are aligned."""
     draw_chart(axes, chart, comparison.runs[0].view, span=comparison.span)
     axes.axvline(comparison.moment, color=style.INK, linewidth=1.0, linestyle=style.DOTTED)
 
 
 def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
-    """Return the common charts with a line for each run, and with the reference and levels of the first run."""
-    every = [charts(run.view) for run in comparison.runs]
-    wanted = [
+    """Return the charts of a comparison, with a line for each run, and reference and levels of the first run.
+
+    Charts without lines are left out.
+    """
+    charts_of_runs = [charts(run.view) for run in comparison.runs]
+    quantities = [
         ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)}", f"arm_{arm + 1}/")
         for arm in range(min(comparison.runs[0].view.arms, 2))
     ] + [
@@ -193,11 +217,11 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
         ("energy", "energy", "Energy of the pendulum", ""),
         ("nis", "nis", "NIS, means of 50 updates", ""),
     ]
-    shared = [
-        _compared_chart(comparison, [charts_of_run.get(source) for charts_of_run in every], *rest)
-        for source, *rest in wanted
+    compared = [
+        _compared_chart(comparison, [charts_of_run.get(source) for charts_of_run in charts_of_runs], *attributes)
+        for source, *attributes in quantities
     ]
-    return tuple(chart for chart in shared if chart is not None and chart.lines)
+    return tuple(chart for chart in compared if chart is not None and chart.lines)
 
 
 def _compared_chart(
@@ -206,20 +230,31 @@ def _compared_chart(
     """Return one chart of all runs with those of their lines whose keys start with `prefix`.
 
     Several of these lines of a run, such as errors of several arms, are replaced by their largest size at each time.
+
+    Args:
+        comparison: compared runs.
+        every: chart of each run, or None where a run has no such chart.
+        key: path of the new chart in a recording.
+        title: title of the new chart.
+        prefix: beginning of the keys of lines.
     """
-    of_first = every[0].lines if every[0] else ()
-    look = {"key": "0_reference", "name": f"reference of {comparison.runs[0].name}", "label": "the first's reference"}
+    first_lines = every[0].lines if every[0] else ()
+    names = {"key": "0_reference", "name": f"reference of {comparison.runs[0].name}", "label": "the first's reference"}
     lines = [
-        replace(line, colour=style.REFERENCE, **look)
-        for line in of_first
+        replace(line, colour=style.REFERENCE, **names)
+        for line in first_lines
         if line.role == "reference" and line.key.startswith(prefix)
     ]
     for k, (run, run_chart) in enumerate(zip(comparison.runs, every, strict=True)):
-        shown = [line for line in run_chart.lines if line.key.startswith(prefix)] if run_chart else []
-        parts = [line for line in shown if line.role == "run"]
-        if parts:
-            values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)
-            lines.append(Line(run_path(k, run), run.name, "", parts[0].time, values, style.RUNS[k], dashed=k > 0))
+        matching = [line for line in run_chart.lines if line.key.startswith(prefix)] if run_chart else []
+        run_lines = [line for line in matching if line.role == "run"]
+        if run_lines:
+            values = (
+                run_lines[0].values
+                if len(run_lines) == 1
+                else np.max([np.abs(line.values) for line in run_lines], axis=0)
+            )
+            lines.append(Line(run_path(k, run), run.name, "", run_lines[0].time, values, style.RUNS[k], dashed=k > 0))
     first_chart = next((run_chart for run_chart in every if run_chart), None)
     if first_chart is None:
         return None
@@ -236,7 +271,7 @@ def _compared_chart(
 
 
 def run_path(k: int, run: ComparedRun) -> str:
-    """Return the path of a run in a recording.
+    """Return the path of a run in a recording, whose number keeps the runs in order in the viewer.
 
     Args:
         k: index of the run, from 0.
@@ -246,7 +281,7 @@ def run_path(k: int, run: ComparedRun) -> str:
 
 
 def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
-    """Write the recording of a comparison to `path` (`*.rrd`).
+    """Write the comparison of several runs as a recording for the Rerun viewer, with all runs in the same charts.
 
     Args:
         comparison: runs to write.
@@ -255,22 +290,31 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    runs, shared = comparison.runs, compared_charts(comparison)
+    runs, compared = comparison.runs, compared_charts(comparison)
     # The sheet of each arm holds all runs.
     sheets = [Sheet.around(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
-    listed = [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(runs)]
-    summary = "\n".join([f"**{comparison.title}**", "", comparison.status, "", *listed])
-    with recorded.recording_to(path, comparison.title, _blueprint(comparison, shared, sheets), summary) as recording:
+    verdicts = [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(runs)]
+    summary = "\n".join([f"**{comparison.title}**", "", comparison.status, "", *verdicts])
+    with recorded.recording_to(path, comparison.title, _blueprint(comparison, compared, sheets), summary) as recording:
         for k, run in enumerate(runs):
             recorded.draw_pendulum(recording, f"runs/{k + 1}/scene", run.view)
             recorded.record_planes(recording, f"runs/{k + 1}/planes", run.view, sheets)
-            shown = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("asked", "done")]
-            recorded.record_strips(recording, run_path(k, run), shown, run.view)
-        for chart in shared:
+            itinerary_strips = [
+                strip for strip in strips(run.view, until=comparison.span[1]) if strip.key in ("asked", "done")
+            ]
+            recorded.record_strips(recording, run_path(k, run), itinerary_strips, run.view)
+        for chart in compared:
             recorded.record_chart(recording, chart, runs[0].view)
 
 
 def _blueprint(comparison: RunComparison, charts: Sequence[Chart], sheets: Sequence[Sheet]) -> rrb.Blueprint:
+    """Return the layout of the recording of a comparison in the viewer.
+
+    Args:
+        comparison: compared runs.
+        charts: charts of all runs.
+        sheets: phase plane of each arm.
+    """
     runs = comparison.runs
     scenes = [recorded.scene_view(run.view, home=f"/runs/{k + 1}/scene", name=run.name) for k, run in enumerate(runs)]
     planes = [
@@ -278,8 +322,10 @@ def _blueprint(comparison: RunComparison, charts: Sequence[Chart], sheets: Seque
         for arm, sheet in enumerate(sheets[:2])
         for k, run in enumerate(runs)
     ]
-    middle = recorded.plots([c for c in charts if c.key in ("angle_1", "angle_2", "cart")])
-    checks = recorded.plots([c for c in charts if c.key in ("tracking_error", "acceleration", "energy", "nis")])
+    middle = recorded.plots([chart for chart in charts if chart.key in ("angle_1", "angle_2", "cart")])
+    checks = recorded.plots(
+        [chart for chart in charts if chart.key in ("tracking_error", "acceleration", "energy", "nis")]
+    )
     if any(run.view.plan.planned for run in runs):
         name = f"Itineraries, aligned at symbol {comparison.symbol}"
         contents = [f"+ /{run_path(k, run)}/**" for k, run in enumerate(runs)]

@@ -20,7 +20,7 @@ from dpcontrol.walks.atlas import Atlas
 
 
 def quiet_space(axes: Axes, of: System | Atlas, title: str = "") -> None:
-    """Label the axes of a panel in space: first coordinate, second coordinate, first rate.
+    """Label the axes of a panel in space with the first and second coordinate and the first rate, seen from above.
 
     Args:
         axes: panel in space.
@@ -34,7 +34,7 @@ def quiet_space(axes: Axes, of: System | Atlas, title: str = "") -> None:
 
 
 def quiet_plane(axes: Axes, of: System | Atlas, columns: tuple[int, int] = (0, 1), title: str = "") -> None:
-    """Label a panel that shows two entries of states, angles in multiples of π.
+    """Label a panel that shows two entries of the states of a system, with angles in multiples of π.
 
     Args:
         axes: panel to label.
@@ -52,6 +52,7 @@ class _HalfTurns(MaxNLocator):
     """Round multiples of half a turn, as many as the axis has room for."""
 
     def tick_values(self, vmin: float, vmax: float) -> Any:
+        """Return the angles, rad, between two angles at which matplotlib draws ticks."""
         return np.pi * np.asarray(super().tick_values(vmin / np.pi, vmax / np.pi))
 
 
@@ -79,15 +80,17 @@ def readable_ticks(axis: Any, unit: str) -> None:
         unit: unit of its values.
     """
     low, high = axis.get_view_interval()
-    between = (1.0, 2.0, 5.0) if high < _LONG * low else (1.0,)
-    axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if high < _FEW * low else LogLocator(subs=between))
+    multiples = (1.0, 2.0, 5.0) if high < _LONG * low else (1.0,)
+    axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if high < _FEW * low else LogLocator(subs=multiples))
     if unit or high < _LONG * low:
         axis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, unit)))
     axis.set_minor_formatter(NullFormatter())
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
-    """Return a curve (K, D) as runs within one period about zero, split at the bounds.
+    """Return a curve (K, D) as stretches within one period about zero, split where it leaves the period.
+
+    A stretch extends one point beyond its bounds, so that it is drawn up to the frame.
 
     Args:
         curve: (K, D) in any unit.
@@ -96,27 +99,26 @@ def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]
     lengths = np.array([period or 0.0 for period in periods])
     turns = np.rint(curve / np.where(lengths, lengths, np.inf))
     breaks = np.flatnonzero((np.diff(turns, axis=0) != 0).any(axis=1)) + 1
-    runs = []
+    stretches = []
     for start, end in zip(np.r_[0, breaks], np.r_[breaks, len(curve)], strict=True):
-        # One point beyond each end extends runs to the frame.
         low, high = max(start - 1, 0), min(end + 1, len(curve))
-        runs.append(curve[low:high] - turns[start] * lengths)
-    return [run for run in runs if len(run) > 1]
+        stretches.append(curve[low:high] - turns[start] * lengths)
+    return [stretch for stretch in stretches if len(stretch) > 1]
 
 
 def name_curves(axes: Axes, names: Sequence[tuple[Any, ...]]) -> None:
-    """Name curves at the right of a panel, in the order of their ends.
+    """Name curves at the right of a panel, in the order of their ends, as a key beside the curves.
 
     Args:
         axes: panel with the curves.
         names: height of the curve's end in data, text and colour of each name, and its kind of line if not solid.
     """
-    lines = [
-        Line2D([], [], label=text, color=colour, linestyle=line[0] if line else "-")
-        for _, text, colour, *line in sorted(names, reverse=True)
+    handles = [
+        Line2D([], [], label=text, color=colour, linestyle=dashes[0] if dashes else "-")
+        for _, text, colour, *dashes in sorted(names, reverse=True)
     ]
     place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "borderaxespad": 0.4}
-    axes.legend(handles=lines, handlelength=1.4, labelcolor="linecolor", **place)
+    axes.legend(handles=handles, handlelength=1.4, labelcolor="linecolor", **place)
 
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
@@ -183,19 +185,21 @@ def draw_graph(axes: Axes, graph: "nx.MultiDiGraph[str]", title: str) -> None:
     for source, target in dict.fromkeys(graph.edges()):
         connections = [data["connection"] for data in graph.get_edge_data(source, target).values()]
         ends, bend, shrink = np.array([places[source], places[target]]), 0.25, 28.0
-        middle = ends.mean(axis=0) + 0.18 * (ends[1] - ends[0])[::-1] * (1, -1)
+        label_place = ends.mean(axis=0) + 0.18 * (ends[1] - ends[0])[::-1] * (1, -1)
+        # An arrow from an orbit to itself is a loop above its disc.
         if source == target:
             ends, bend, shrink = ends + np.array([(-0.12, 0.38), (0.12, 0.38)]), -3.5, 0.0
-            middle = places[source] + (0.0, 0.95)
+            label_place = places[source] + (0.0, 0.95)
         look = {"connectionstyle": f"arc3,rad={bend}", "color": style.CART, "shrinkA": shrink, "shrinkB": shrink}
         axes.annotate("", ends[1], ends[0], arrowprops={"arrowstyle": "-|>", **look})
         text = f"{len(connections)}, {sum(c.symmetric for c in connections)} symmetric"
-        axes.text(float(middle[0]), float(middle[1]), text, ha="center", va="center", color=style.INK)
+        axes.text(float(label_place[0]), float(label_place[1]), text, ha="center", va="center", color=style.INK)
     axes.axis("off")
     axes.set(title=title, xlim=(-2.2, 2.2), ylim=(-1.5, 1.5), aspect="equal")
 
 
 BESIDE = "label beside a point"
+"""Identifier of labels that the layout engine may move."""
 
 
 def name_point(axes: Axes, text: str, at: tuple[float, float], colour: str, *, weight: str = "bold") -> None:

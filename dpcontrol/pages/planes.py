@@ -15,12 +15,14 @@ Range = tuple[float, float]
 
 
 def gap_times(view: RunView) -> Array:
-    """Return the middle of each gap in a view's ticks, s."""
+    """Return the middle of each gap in the ticks of a run, s, where drawn lines are interrupted."""
     return (view.time[view.breaks] + view.time[view.breaks - 1]) / 2
 
 
 def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
-    """Return the rows of the extremes of values (N,) in `bins`, and the last row; few values are all returned.
+    """Return the rows of the least and the greatest value in each bin, and the last row, which suffice to draw a line.
+
+    If there are few values, all rows are returned.
 
     Args:
         values: (N,) in any unit.
@@ -29,16 +31,16 @@ def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
     size = len(values) // bins
     if size < 3:
         return np.arange(len(values))
-    full = len(values) // size * size
-    block = values[:full].reshape(-1, size)
+    binned = len(values) // size * size
+    block = values[:binned].reshape(-1, size)
     if not np.isfinite(block).all():
         block = np.where(np.isfinite(block), block, 0.0)
-    ends = np.sort(np.stack([block.argmin(axis=1), block.argmax(axis=1)], axis=1), axis=1)
-    return np.unique(np.concatenate([(ends + size * np.arange(len(block))[:, None]).ravel(), [len(values) - 1]]))
+    extremes = np.sort(np.stack([block.argmin(axis=1), block.argmax(axis=1)], axis=1), axis=1)
+    return np.unique(np.concatenate([(extremes + size * np.arange(len(block))[:, None]).ravel(), [len(values) - 1]]))
 
 
 def padded(values: Array) -> Range:
-    """Return the range of finite `values`, extended by a tenth."""
+    """Return the range of the finite values, extended by a tenth on either side, for an axis."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     margin = 0.1 * (high - low) or 0.1 * abs(high) or 1e-3
@@ -55,12 +57,13 @@ class Plane:
 
     Curves (K, 2) have angles in rad and rates in rad/s, with whole turns counted.
 
-    arm: counted from zero.
-    strands: of the tubes, by stability.
-    cuts: of the tubes, by stability.
-    orbits: closed, with their colours; a single point for an equilibrium.
-    run: the stretches between gaps.
-    ends: the run's first and last point, (2, 2).
+    Attributes:
+        arm: number of the arm, counted from zero.
+        strands: trajectories of the tubes, by stability.
+        cuts: curves where the tubes meet the section, by stability.
+        orbits: closed orbits with their colours; an equilibrium is a single point.
+        run: the stretches of the run between gaps.
+        ends: the run's first and last point, (2, 2).
     """
 
     arm: int
@@ -72,38 +75,45 @@ class Plane:
 
 
 def plane(view: RunView, arm: int) -> Plane:
-    """Return an arm's phase plane with the plan's orbits and tubes.
+    """Return an arm's phase plane, its rate over its angle, with the plan's orbits and tubes and the run.
 
     Args:
         view: run or reference.
         arm: index of the arm, from 0.
     """
     columns = [arm, view.arms + arm]
+    # Long runs are thinned.
     step = max(1, len(view.time) // _MOST)
-    walked = view.state[:, columns]
-    edges = [0, *view.breaks.tolist(), len(walked)]
+    arm_states = view.state[:, columns]
+    edges = [0, *view.breaks.tolist(), len(arm_states)]
     tubes = {stable: [tube for tube in view.plan.tubes if tube.stable == stable] for stable in (False, True)}
     return Plane(
         arm,
-        strands={stable: [s[:, columns] for tube in some for s in tube.strands] for stable, some in tubes.items()},
-        cuts={stable: [run for tube in some for run in _known(tube.cut[:, columns])] for stable, some in tubes.items()},
+        strands={
+            stable: [strand[:, columns] for tube in tubes_of_kind for strand in tube.strands]
+            for stable, tubes_of_kind in tubes.items()
+        },
+        cuts={
+            stable: [stretch for tube in tubes_of_kind for stretch in _known(tube.cut[:, columns])]
+            for stable, tubes_of_kind in tubes.items()
+        },
         orbits=[
             (style.saddle_colour(orbit.saddle), np.vstack([orbit.curve, orbit.curve[:1]])[:, columns])
             for orbit in view.plan.orbits
         ],
-        run=[run for a, b in pairwise(edges) for run in _known(walked[a:b][::step])],
-        ends=walked[[0, -1]],
+        run=[stretch for first, end in pairwise(edges) for stretch in _known(arm_states[first:end][::step])],
+        ends=arm_states[[0, -1]],
     )
 
 
 def _known(points: Array) -> list[Array]:
-    """Return the stretches of points (K, 2) between nan ones."""
+    """Return the stretches of points (K, 2) between missing ones (nan), of two points at least, which can be drawn."""
     runs = true_runs(np.all(np.isfinite(points), axis=1))
     return [points[first:end] for first, end in runs if end - first > 1]
 
 
 def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
-    """Return pivot, elbows and tip relative to the pivot, with x to the right and y up.
+    """Return pivot, elbows and tip of the arms relative to the pivot, with x to the right and y up, to draw them.
 
     Args:
         angles: (K, n) absolute, from hanging, counter-clockwise; rad.
@@ -112,5 +122,5 @@ def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
     Returns:
         (K, n+1, 2) in m.
     """
-    steps = np.stack([np.sin(angles), -np.cos(angles)], axis=-1) * np.asarray(arm_lengths)[:, None]
-    return np.concatenate([np.zeros((len(angles), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
+    arm_vectors = np.stack([np.sin(angles), -np.cos(angles)], axis=-1) * np.asarray(arm_lengths)[:, None]
+    return np.concatenate([np.zeros((len(angles), 1, 2)), np.cumsum(arm_vectors, axis=1)], axis=1)

@@ -71,7 +71,7 @@ RECORDINGS = {
 
 
 def record(result: object, path: Path) -> None:
-    """Write the Rerun recording of a result.
+    """Write the recording of a result for the Rerun viewer, by the function for its class in `RECORDINGS`.
 
     Args:
         result: run, reference, comparison or atlas.
@@ -99,7 +99,7 @@ def alone(result: Any, place: str) -> Any:
 
     Args:
         result: result to draw.
-        place: its function in `PANELS`.
+        place: function that draws it, `module:function` as in `PANELS`.
     """
     orbit = getattr(result, "source", getattr(result, "orbit", result))
     page = renderer("layout:Page")("", width=7.0).row(lambda axes: renderer(place)(axes, result), height=4.8)
@@ -110,6 +110,12 @@ def alone(result: Any, place: str) -> Any:
 
 
 def renderer(place: str) -> Callable[..., Any]:
-    """Return the function at `module:function` in this package, with the settings of pages."""
+    """Return a drawing function of this package, which runs with the settings of pages.
+
+    Its module is imported only now, because the modules of pages load slowly.
+
+    Args:
+        place: `module:function`.
+    """
     module, _, name = place.partition(":")
     return rc_context(style.PRINTED)(getattr(import_module(f"dpcontrol.pages.{module}"), name))

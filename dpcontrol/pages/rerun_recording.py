@@ -52,18 +52,24 @@ class Sheet:
 
     @classmethod
     def around(cls, *planes: Plane) -> Sheet:
-        """Return the sheet around phase planes of one arm, without far outliers."""
+        """Return the smallest sheet, with margins, that holds phase planes of one arm, apart from far outliers.
+
+        Args:
+            *planes: phase planes of the arm, one for each run that is shown.
+        """
         curves = [points for plane in planes for _, points in plane.orbits]
-        curves += [points for plane in planes for some in (plane.run, *plane.strands.values()) for points in some]
-        every = np.concatenate([np.zeros((0, 2)), *curves])
-        near = every[(np.abs(every) < _FAR).all(axis=1)]
+        curves += [
+            points for plane in planes for stretches in (plane.run, *plane.strands.values()) for points in stretches
+        ]
+        all_points = np.concatenate([np.zeros((0, 2)), *curves])
+        near = all_points[(np.abs(all_points) < _FAR).all(axis=1)]
         low, high = (near.min(axis=0), near.max(axis=0)) if len(near) else (np.zeros(2), np.zeros(2))
-        wide, tall = np.maximum(high - low, 1e-12)
-        margin = 0.1 * max(wide, _RATE * tall) * np.array([1.0, 1 / _RATE]) + 1e-3
+        width, height = np.maximum(high - low, 1e-12)
+        margin = 0.1 * max(width, _RATE * height) * np.array([1.0, 1 / _RATE]) + 1e-3
         return cls(low - margin, high + margin)
 
     def drawn(self, points: ArrayLike) -> Array:
-        """Return points (…, 2) as drawn."""
+        """Return points (…, 2) of angle and rate as the viewer draws them: rates shortened, and upwards."""
         return np.asarray(points) * [1.0, -_RATE]
 
     def grid(self, recording: rr.RecordingStream, home: str) -> None:
@@ -74,11 +80,11 @@ class Sheet:
             home: parent path.
         """
         (left, bottom), (right, top) = self.low, self.high
-        across, up = np.pi * _round_values(left / np.pi, right / np.pi, integer=True), _round_values(bottom, top)
-        lines = [[(x, bottom), (x, top)] for x in across] + [[(left, y), (right, y)] for y in up]
-        beside, above = self.low + [0.06, 0.04] * (self.high - self.low)
-        places = [(x, above) for x in across] + [(beside, y) for y in up]
-        labels = [style.in_pi(x / np.pi) for x in across] + [f"{y + 0.0:.6g}" for y in up]
+        angles, rates = np.pi * _round_values(left / np.pi, right / np.pi, integer=True), _round_values(bottom, top)
+        lines = [[(x, bottom), (x, top)] for x in angles] + [[(left, y), (right, y)] for y in rates]
+        label_angle, label_rate = self.low + [0.06, 0.04] * (self.high - self.low)
+        places = [(x, label_rate) for x in angles] + [(label_angle, y) for y in rates]
+        labels = [style.in_pi(x / np.pi) for x in angles] + [f"{y + 0.0:.6g}" for y in rates]
         if lines:
             ends = [self.drawn(line) for line in lines]
             record_curves(recording, f"{home}/grid", ends, ["#e2e5e9"], 0.5, draw_order=-10.0)
@@ -87,7 +93,7 @@ class Sheet:
             recording.log(f"{home}/grid/names", names, static=True)
 
     def view(self, origin: str, *, name: str) -> rrb.View:
-        """Return the view of the sheet.
+        """Return the viewer's view of the sheet, which shows exactly its part of the plane.
 
         Args:
             origin: path of its contents.
@@ -99,6 +105,7 @@ class Sheet:
 
 
 def _round_values(low: float, high: float, *, integer: bool = False) -> Array:
+    """Return about six round values between two bounds for grid lines, multiples of whole numbers if `integer`."""
     values = np.asarray(MaxNLocator(6, steps=[1, 2, 5, 10], integer=integer).tick_values(low, high))
     return values[(low <= values) & (values <= high)]
 
@@ -112,6 +119,7 @@ SCENE, SUMMARY, PLANES, PLOTS = "scene", "summary", "phase_planes", "plots"
 _BINS = 30_000
 """Number of bins of a long curve; the least and the greatest value of each are recorded."""
 _ON_THE_WAY = "on the way"
+"""State of a strip between two stays."""
 _RATE = 0.2
 """Drawn length of 1 rad/s in a phase plane; an angle of 1 rad is 1 long."""
 _EACH = 2
@@ -122,11 +130,12 @@ _TUBES = (
 )
 """Stability, colours of the cut and of the strands (the viewer's thin lines are opaque), and name."""
 _TRACE_SECONDS = 0.4
+"""Duration of the visible path of the tip, s."""
 _NO_GAPS: Array = np.zeros(0)
 
 
 def follow(recording: rr.RecordingStream, path: str, look: Any, time: Array, columns: Any) -> None:
-    """Record values at times under a path, in constant style.
+    """Record values at times under a path, in constant style, as every curve and every moving object of a recording.
 
     Args:
         recording: recording to extend.
@@ -147,7 +156,7 @@ def record_curves(
     width: float,
     **look: Any,
 ) -> None:
-    """Record curves under a path.
+    """Record constant curves, such as orbits and tubes, under one path in one style.
 
     Args:
         recording: recording to extend.
@@ -164,12 +173,12 @@ def record_curves(
 
 
 def trace_rows(view: RunView) -> NDArray[np.int64]:
-    """Return the ticks of the recorded poses."""
+    """Return the ticks of the recorded poses, which are fewer than the run's: 50 in each second suffice for viewing."""
     return np.arange(0, len(view.time), max(1, round(view.rate_hz / TRACE_RATE)))
 
 
 def record_chart(recording: rr.RecordingStream, chart: Chart, view: RunView) -> None:
-    """Record a chart's lines and levels.
+    """Record the lines of a chart and its levels, which are lines of two points.
 
     Args:
         recording: recording to extend.
@@ -178,15 +187,18 @@ def record_chart(recording: rr.RecordingStream, chart: Chart, view: RunView) -> 
     """
     if not chart.key:
         return
-    levels = [Line(x.key, x.name, "", view.time[[0, -1]], np.full(2, x.value), x.colour, 1.0) for x in chart.levels]
+    level_lines = [
+        Line(level.key, level.name, "", view.time[[0, -1]], np.full(2, level.value), level.colour, 1.0)
+        for level in chart.levels
+    ]
     for line in chart.lines:
         _line(recording, f"{PLOTS}/{chart.key}/{line.key}", line, gaps=gap_times(view))
-    for line in levels:
+    for line in level_lines:
         _line(recording, f"{PLOTS}/{chart.key}/{line.key}", line)
 
 
 def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array = _NO_GAPS) -> None:
-    """Record a line under a path, with its band, if any; long lines are reduced to their extremes.
+    """Record a line of a chart under a path, with its band, if any; long lines are reduced to their extremes.
 
     Ink becomes pale on the viewer's dark plots, and a reference grey. Lines are interrupted at `gaps`, times in s.
     """
@@ -211,7 +223,7 @@ def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array =
 
 
 def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Strip], view: RunView) -> None:
-    """Record strips of named states, each from its start time, s.
+    """Record strips as states that change over time, which the viewer draws as coloured bands with their texts.
 
     Args:
         recording: recording to extend.
@@ -229,17 +241,22 @@ def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Str
             values=list(colours), colors=[(*style.rgb(colour), 255) for colour in colours.values()]
         )
         columns = rr.StateChange.columns(state=[name for _, name in changes])
-        follow(recording, f"{home}/{strip.key}", look, np.array([at for at, _ in changes]), columns)
+        follow(recording, f"{home}/{strip.key}", look, np.array([moment for moment, _ in changes]), columns)
 
 
 def _changes(strip: Strip, view: RunView) -> tuple[list[tuple[float, str]], dict[str, str]]:
-    """Return the spans of a strip as changes of a state, and colours by name; between stays it is "on the way"."""
+    """Return the changes of a strip's state, each with its time in s, and the colours of the states.
+
+    A state is the text of a span. Between stays the state is "on the way".
+    """
     begin, end = view.time_range
     states: dict[float, str] = {}
     colours: dict[str, str] = {}
     for span in (span for span in strip.spans if span.kind != "transfer"):
         text = f"not planned: {span.text}" if span.kind == "astray" else span.text
-        states = {at: state for at, state in states.items() if at < span.first} | {max(span.first, begin): text}
+        states = {moment: state for moment, state in states.items() if moment < span.first} | {
+            max(span.first, begin): text
+        }
         colours[text] = span.colour
         # The last stay extends to the end of the run or the plan.
         if span.kind in ("stay", "astray") and span.last <= end - 2 / view.rate_hz:
@@ -249,7 +266,7 @@ def _changes(strip: Strip, view: RunView) -> tuple[list[tuple[float, str]], dict
 
 
 def record_planes(recording: rr.RecordingStream, home: str, view: RunView, sheets: Sequence[Sheet]) -> None:
-    """Record the phase plane of each arm under `home/arm_K`.
+    """Record the phase plane of each arm under `home/arm_K`: grid, tubes, orbits, the run and its moving position.
 
     Args:
         recording: recording to extend.
@@ -258,20 +275,20 @@ def record_planes(recording: rr.RecordingStream, home: str, view: RunView, sheet
         sheets: sheet of each arm.
     """
     for arm, sheet in enumerate(sheets):
-        at, shown = f"{home}/arm_{arm + 1}", plane(view, arm)
-        sheet.grid(recording, at)
+        path, arm_plane = f"{home}/arm_{arm + 1}", plane(view, arm)
+        sheet.grid(recording, path)
         for stable, colour, pale, name in _TUBES:
-            strands, cuts = shown.strands[stable][::_EACH], shown.cuts[stable]
-            record_curves(recording, f"{at}/{name}", [*map(sheet.drawn, strands)], [pale], 0.5)
-            record_curves(recording, f"{at}/{name}/cut", [*map(sheet.drawn, cuts)], [colour], 1.2)
-        orbits = [sheet.drawn(points) for _, points in shown.orbits]
-        record_curves(recording, f"{at}/orbits", orbits, [colour for colour, _ in shown.orbits], 1.8)
-        record_curves(recording, f"{at}/run", [*map(sheet.drawn, shown.run)], [style.INK], 0.7)
+            strands, cuts = arm_plane.strands[stable][::_EACH], arm_plane.cuts[stable]
+            record_curves(recording, f"{path}/{name}", [*map(sheet.drawn, strands)], [pale], 0.5)
+            record_curves(recording, f"{path}/{name}/cut", [*map(sheet.drawn, cuts)], [colour], 1.2)
+        orbits = [sheet.drawn(points) for _, points in arm_plane.orbits]
+        record_curves(recording, f"{path}/orbits", orbits, [colour for colour, _ in arm_plane.orbits], 1.8)
+        record_curves(recording, f"{path}/run", [*map(sheet.drawn, arm_plane.run)], [style.INK], 0.7)
     record_places(recording, home, view)
 
 
 def record_places(recording: rr.RecordingStream, home: str, view: RunView) -> None:
-    """Record the position of each arm in its phase plane.
+    """Record the position of each arm in its phase plane over time, a dot that moves with the viewer's time.
 
     Args:
         recording: recording to extend.
@@ -295,24 +312,25 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
     """
     rows, reach = trace_rows(view), sum(view.arm_lengths)
     time, arms = view.time[rows], _points(view.state[rows], view, 0.0)
-    shown = [("arms", arms, 0.028)]
+    chains = [("arms", arms, 0.028)]
     if view.reference is not None:
-        shown.append(("reference", _points(view.reference[rows], view, 0.03), 0.05))
-    for name, points, radius in shown:
+        chains.append(("reference", _points(view.reference[rows], view, 0.03), 0.05))
+    for name, points, radius in chains:
         for arm in range(view.arms):
             colour = style.arm_colour(arm) if name == "arms" else style.REFERENCE
             look = rr.LineStrips3D.from_fields(colors=[style.rgb(colour)], radii=radius * reach / 2)
             columns = rr.LineStrips3D.columns(strips=list(points[:, arm : arm + 2]))
             follow(recording, f"{home}/{name}/arm_{arm + 1}", look, time, columns)
+    # The path lies slightly in front of the arms, so that they do not hide it.
     length, tips = round(_TRACE_SECONDS * TRACE_RATE), arms[:, -1] + [0.0, -0.05, 0.0]
     columns = rr.LineStrips3D.columns(strips=[tips[max(0, k - length) : k + 1] for k in range(len(rows))])
     tint = style.rgb(style.arm_colour(view.arms - 1))
     look = rr.LineStrips3D.from_fields(colors=[tint], radii=rr.Radius.ui_points(1.5))
     follow(recording, f"{home}/tip", look, time, columns)
     if view.has_cart:
-        finite = np.abs(view.pivot[np.isfinite(view.pivot)])
+        distances = np.abs(view.pivot[np.isfinite(view.pivot)])
         # The track ends at the limits.
-        end = view.limits[0] if view.limits else max(finite.max(initial=0.0), reach)
+        end = view.limits[0] if view.limits else max(distances.max(initial=0.0), reach)
         rail = [[(-end, 0.05, 0.0), (end, 0.05, 0.0)]]
         stops = [[(x, 0.05, -0.06 * reach), (x, 0.05, 0.06 * reach)] for x in (-end, end)]
         tints = [style.rgb(style.FAINT), style.rgb(style.LIMIT), style.rgb(style.LIMIT)]
@@ -323,14 +341,22 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
 
 
 def _points(states: Array, view: RunView, depth: float) -> Array:
-    """Return pivot, elbows and tip (K, n+1, 3) of states (K, …) at a depth, m."""
+    """Return the joints of the arms in the scene, (K, n+1, 3) in m: pivot, elbows and tip, moved with the cart.
+
+    Args:
+        states: angles, rates and, with a cart, its position and velocity, (K, 2n+2) or (K, 2n).
+        view: motion with the n arms.
+        depth: distance behind the plane of the arms, m, which keeps the reference behind the motion.
+    """
     points = arm_points(states[:, : view.arms], view.arm_lengths)
     pivot = states[:, 2 * view.arms] if view.has_cart else np.zeros(len(states))
     return np.stack([points[..., 0] + pivot[:, None], np.full(points.shape[:2], depth), points[..., 1]], axis=-1)
 
 
 def blueprint(view: RunView, sheets: Sequence[Sheet], *, growing: bool = False) -> rrb.Blueprint:
-    """Return the blueprint of a recording.
+    """Return the layout of a recording in the viewer.
+
+    Scene, phase planes and texts are at the left, strips and charts of the motion in the middle, checks at the right.
 
     Args:
         view: the recorded run.
@@ -338,9 +364,9 @@ def blueprint(view: RunView, sheets: Sequence[Sheet], *, growing: bool = False) 
         growing: True if more data will follow: axes adapt, and the viewer follows the latest time.
     """
     middle, checks = plots(motion_charts(view), growing=growing), plots(check_charts(view), growing=growing)
-    if shown := {strip.key: strip.name or "symbols" for strip in strips(view)}:
-        name = ", ".join(shown.values()).capitalize()
-        middle.insert(0, rrb.StateTimelineView(name=name, contents=[f"+ /{key}" for key in shown]))
+    if strip_names := {strip.key: strip.name or "symbols" for strip in strips(view)}:
+        name = ", ".join(strip_names.values()).capitalize()
+        middle.insert(0, rrb.StateTimelineView(name=name, contents=[f"+ /{key}" for key in strip_names]))
     planes = [
         sheet.view(f"/{PLANES}/arm_{arm + 1}", name=f"Arm {arm + 1}: rate over angle")
         for arm, sheet in enumerate(sheets[:2])
@@ -351,10 +377,10 @@ def blueprint(view: RunView, sheets: Sequence[Sheet], *, growing: bool = False) 
         texts.append(rrb.TextLogView(name="Events", origin="/rosout", columns=columns))
     scene = scene_view(view, name="Scene" if view.reference is None else f"Scene: {view.against} grey")
     left = rrb.Vertical(scene, rrb.Horizontal(*planes), rrb.Horizontal(*texts), row_shares=[4, 4, 2.4])
-    beside: list[rrb.Container] = [rrb.Vertical(*checks, name="Checks")] if checks else []
+    right: list[rrb.Container] = [rrb.Vertical(*checks, name="Checks")] if checks else []
     if extras := plots(extra_charts(view)):
-        beside = [rrb.Tabs(*beside, rrb.Vertical(*extras, name="Estimated parameters"), active_tab=0)]
-    return page([left, rrb.Vertical(*middle), *beside], [5, 4.3, 3.7], growing=growing)
+        right = [rrb.Tabs(*right, rrb.Vertical(*extras, name="Estimated parameters"), active_tab=0)]
+    return page([left, rrb.Vertical(*middle), *right], [5, 4.3, 3.7], growing=growing)
 
 
 def page(
@@ -363,7 +389,7 @@ def page(
     *,
     growing: bool = False,
 ) -> rrb.Blueprint:
-    """Return a blueprint of columns of views, without side panels.
+    """Return the layout of a recording: columns of views, with the viewer's own side panels closed.
 
     Args:
         columns: columns of views.
@@ -400,7 +426,7 @@ def summary_view() -> rrb.View:
 
 
 def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
-    """Return the views of charts.
+    """Return the viewer's views of charts, whose lines `record_chart` records.
 
     Args:
         charts: charts to show; those without a key are omitted.
@@ -419,7 +445,7 @@ def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
 
 
 def write_recording(view: RunView, path: Path) -> None:
-    """Write the recording of a view to `path` (`*.rrd`).
+    """Write a run or a reference as a recording for the Rerun viewer, with its layout.
 
     Args:
         view: run or reference.
@@ -464,7 +490,7 @@ def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> It
 
 
 def record_events(recording: rr.RecordingStream, view: RunView) -> None:
-    """Record a run's events.
+    """Record a run's events as lines of a text log with their times.
 
     Args:
         recording: recording to extend.
@@ -477,14 +503,15 @@ def record_events(recording: rr.RecordingStream, view: RunView) -> None:
 
 
 def _summary(view: RunView) -> str:
-    rows = [f"**{view.verdict}**" if view.verdict else "", ""]
+    """Return the text beside a recording in Markdown: verdict, explanation of the phase planes, and metadata."""
+    lines = [f"**{view.verdict}**" if view.verdict else "", ""]
     if view.plan.orbits:
-        flown = "the reference" if view.what == "reference" else "the run"
-        rows += [
+        curve_name = "the reference" if view.what == "reference" else "the run"
+        lines += [
             "",
-            f"Phase planes, rad/s over rad: orbits thick, tubes from them red and to them green, {flown} black.",
+            f"Phase planes, rad/s over rad: orbits thick, tubes from them red and to them green, {curve_name} black.",
         ]
-    rows += ["", f"{view.title} ({view.path.name})", "", "| | |", "|---|---|"]
+    lines += ["", f"{view.title} ({view.path.name})", "", "| | |", "|---|---|"]
     # Long values, such as settings in JSON, would push everything out of sight.
-    rows += [f"| {key} | {value} |" for key, value in view.metadata.items() if value and len(value) < 60]
-    return "\n".join(rows)
+    lines += [f"| {key} | {value} |" for key, value in view.metadata.items() if value and len(value) < 60]
+    return "\n".join(lines)

@@ -100,12 +100,12 @@ class Chart:
         return f"{self.title}{f' ({self.unit})' if self.unit else ''}"
 
     def scaled(self) -> tuple[float, str]:
-        """Return the factor from SI units to the unit of a page, and the title with that unit."""
-        parts = [np.abs(self.shown)] if self.shown else [np.abs(line.values) for line in self.lines]
-        finite = [part[np.isfinite(part)] for part in parts]
-        largest = max((float(part.max()) for part in finite if part.size), default=0.0)
-        plain = self.half_turns or self.log or not self.prefixed or not self.unit
-        scale, unit = (1.0, self.unit) if plain else prefixed(largest, self.unit)
+        """Return the factor from SI units to the unit of a page, such as mrad, and the title with that unit."""
+        sizes = [np.abs(self.shown)] if self.shown else [np.abs(line.values) for line in self.lines]
+        finite = [size[np.isfinite(size)] for size in sizes]
+        largest = max((float(size.max()) for size in finite if size.size), default=0.0)
+        fixed_unit = self.half_turns or self.log or not self.prefixed or not self.unit
+        scale, unit = (1.0, self.unit) if fixed_unit else prefixed(largest, self.unit)
         if self.unit == "share":
             scale, unit = 100.0, "%"
         return scale, f"{self.title}{f' ({unit})' if unit else ''}{self.note}"
@@ -133,23 +133,31 @@ _EXTRA_CHARTS = (
 
 def motion_charts(view: RunView) -> tuple[Chart, ...]:
     """Return the charts of angles and rates, and, if they exist, of cart and acceleration."""
-    n, by = view.arms, ", by differences" if view.differenced else ""
+    n, note = view.arms, ", by differences" if view.differenced else ""
     # An estimate's key takes the room of the longer title.
     title = "Angles" if view.what == "estimate" else "Angles from hanging"
     charts = [
         Chart("angles", title, "rad", _of_arms(view, 0, "θ"), half_turns=True),
-        Chart("rates", "Rates", "rad/s", _of_arms(view, n, "ω"), note=by),
+        Chart("rates", "Rates", "rad/s", _of_arms(view, n, "ω"), note=note),
     ]
     if view.has_cart:
-        lines = _followed(view, 2 * n, "", view.what, style.PLANT)
-        charts.append(Chart("cart", "Cart position", "m", lines, shown=_shown(lines), levels=_limits(view, 0)))
+        cart_lines = _followed(view, 2 * n, "", view.what, style.PLANT)
+        charts.append(
+            Chart("cart", "Cart position", "m", cart_lines, shown=_shown(cart_lines), levels=_limits(view, 0))
+        )
     if view.control is not None:
         charts.append(_acceleration(view, view.control))
     return tuple(charts)
 
 
 def _of_arms(view: RunView, first: int, symbol: str) -> tuple[Line, ...]:
-    """Return the lines of all arms for the columns from `first` on."""
+    """Return the lines of a quantity of all arms: of the reference, the estimate and the state.
+
+    Args:
+        view: motion to draw.
+        first: column of the innermost arm's quantity in the states: 0 for the angles, n for the rates of n arms.
+        symbol: symbol of the quantity in labels, such as "θ".
+    """
     return tuple(
         line
         for arm in range(view.arms)
@@ -160,7 +168,17 @@ def _of_arms(view: RunView, first: int, symbol: str) -> tuple[Line, ...]:
 
 
 def _followed(view: RunView, column: int, key: str, label: str, colour: str) -> tuple[Line, ...]:
-    """Return one column of reference, estimate and state; the estimate is a detail beside the plant."""
+    """Return the lines of one column of the states: reference, estimate and state, as far as known.
+
+    Beside the plant, the estimate is a detail, which only the viewer shows.
+
+    Args:
+        view: motion to draw.
+        column: column of the states.
+        key: beginning of the lines' keys.
+        label: label of the state's line.
+        colour: colour of the lines.
+    """
     time, lines = view.time, []
     if view.reference is not None:
         values, look = view.reference[:, column], {"width": 3.0, "role": "reference"}
@@ -172,11 +190,12 @@ def _followed(view: RunView, column: int, key: str, label: str, colour: str) -> 
 
 
 def _shown(lines: tuple[Line, ...]) -> tuple[float, float]:
+    """Return the initial range of a chart, which holds all its lines except details, with margins."""
     return padded(np.concatenate([line.values for line in lines if line.role != "detail"]))
 
 
 def _limits(view: RunView, which: int) -> tuple[LevelLine, ...]:
-    """Return a limit of the cart as two levels.
+    """Return a limit of the cart as two levels of a chart, none without limits.
 
     Args:
         view: run or reference.
@@ -191,6 +210,12 @@ def _limits(view: RunView, which: int) -> tuple[LevelLine, ...]:
 
 
 def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
+    """Return the chart of the cart's accelerations: plan, command, applied value and the plant's true one, if known.
+
+    Args:
+        view: run with the limits.
+        control: values (N,) by name, m/s².
+    """
     lines = tuple(
         Line(key, name, name, view.time, control[key], colour, width, role=role)
         for key, (name, colour, width, role) in _DRIVEN.items()
@@ -200,19 +225,27 @@ def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
 
 
 def check_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of the run's quality, as far as known: errors, energy and NIS, or a reference's mesh."""
+    """Return the charts of a run's quality, as far as known: errors, energy and NIS, or those of a reference's mesh."""
     of_reference = () if view.source is None else _source_charts(view, view.source)
     charts = (*of_reference[:1], _tracking_error(view), _estimation_error(view), _energy(view), _nis(view))
     return tuple(chart for chart in (*charts, *of_reference[1:]) if chart is not None)
 
 
 def _source_charts(view: RunView, source: Reference) -> tuple[Chart, ...]:
-    """Return a reference's cart velocity, which has a limit, and its errors between nodes on its mesh."""
+    """Return two charts of a reference: the cart's velocity, which is limited, and the errors between nodes.
+
+    The errors of direct collocation are known for each interval of the mesh, so their line is a staircase.
+
+    Args:
+        view: reference as a motion.
+        source: reference with its mesh.
+    """
     speed = (Line("cart", "cart", "", view.time, view.state[:, -1], style.PLANT),)
     velocity = Chart("velocity", "Cart velocity", "m/s", speed, shown=_shown(speed), levels=_limits(view, 1))
     title = f"Error between nodes of {len(source.mesh) - 1} intervals of {source.method.name} (scaled)"
     if source.errors is None:
         return velocity, Chart("", f"{title}: the arms are not known", "", ())
+    # A logarithmic axis cannot show zero.
     errors = np.where(np.isfinite(source.errors), np.maximum(source.errors, 1e-17), np.nan)
     line = Line("", "", "", np.repeat(source.mesh, 2)[1:-1], np.repeat(errors, 2), style.REFERENCE, 1.1)
     stored = source.max_error_between_nodes
@@ -221,7 +254,14 @@ def _source_charts(view: RunView, source: Reference) -> tuple[Chart, ...]:
 
 
 def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None = None) -> tuple[Line, ...]:
-    """Return a line for each arm's angle, column of the values (K, …); `reach` has the half widths of their bands."""
+    """Return a line for the angle of each arm, which is a column of values.
+
+    Args:
+        view: run with the times.
+        values: (N, n) or more columns, rad.
+        width: width of the lines, points.
+        reach: half widths of bands about the lines, of the same shape; None for no bands.
+    """
     return tuple(
         Line(
             f"arm_{arm + 1}",
@@ -238,6 +278,7 @@ def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None =
 
 
 def _tracking_error(view: RunView) -> Chart | None:
+    """Return the chart of the angles less those of the reference, rad; None without a reference."""
     if view.reference is None:
         return None
     return Chart(
@@ -250,24 +291,33 @@ def _tracking_error(view: RunView) -> Chart | None:
 
 
 def _estimation_error(view: RunView) -> Chart | None:
-    """Return the chart of the estimate's error with ±2σ; for an unknown error of ±2σ alone."""
+    """Return the chart of the estimate's error in the angles, rad, in a band of ±2σ.
+
+    If the truth is unknown, the chart shows the band about zero alone; if that is unknown too, there is no chart.
+    """
     error, reach = view.error, None if view.sigma is None else 2 * view.sigma
     if error is None and reach is None:
         return None
     # The large errors at the start are omitted.
-    sizes = [np.abs(part[:, : view.arms]) for part in (reach, error) if part is not None]
-    most = max((1.6 * float(np.nanquantile(clean(part), 0.97)) for part in sizes if np.isfinite(part).any()), default=0)
+    sizes = [np.abs(values[:, : view.arms]) for values in (reach, error) if values is not None]
+    largest = max(
+        (1.6 * float(np.nanquantile(clean(values), 0.97)) for values in sizes if np.isfinite(values).any()), default=0
+    )
     return Chart(
         "estimation_error" if error is not None and reach is not None else "",
         "Estimation error of the angles" if error is not None else "Estimate's ±2σ",
         "rad",
         _arm_lines(view, np.zeros_like(view.state) if error is None else error, 1.0, reach),
-        shown=(-(most or 1e-6), most or 1e-6),
+        shown=(-(largest or 1e-6), largest or 1e-6),
         note=", ±2σ" if error is not None else "; the truth is not known",
     )
 
 
 def _energy(view: RunView) -> Chart | None:
+    """Return the chart of the pendulum's energy, J, with the energies of the plan's saddles; None if it is not known.
+
+    The chart extends to the nearest saddles above and below, so that the energy can be compared with theirs.
+    """
     energy = None if view.energy is None else clean(np.asarray(view.energy, dtype=float))
     if energy is None or not np.isfinite(energy).any():
         return None
@@ -283,7 +333,10 @@ def _energy(view: RunView) -> Chart | None:
 
 
 def _nis(view: RunView) -> Chart | None:
-    """Return the chart of means of the NIS over windows, with the 95 % range of a consistent estimator."""
+    """Return the chart of the NIS, as means over windows, with the 95 % range of a consistent estimator.
+
+    The NIS is the square of the innovation in units of its expected covariance, for each measurement.
+    """
     if view.nis is None:
         return None
     updated, (low, high) = np.isfinite(view.nis), mean_band(view.sensors)
@@ -308,39 +361,49 @@ def _nis(view: RunView) -> Chart | None:
 
 
 def extra_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of the estimated parameters ±2σ, with the truth if it is known."""
+    """Return the charts of the parameters that the filter estimates beside the state, ±2σ, with known true values."""
     if view.extras is None:
         return ()
-    left, charts = list(view.extras.names), []
-    for begins, *chart in _EXTRA_CHARTS:
-        names = [name for name in left if name.startswith(begins)]
-        left = [name for name in left if name not in names]
-        charts += [_extra_chart(view, view.extras, names, *chart)] if names else []
+    names_left, charts = list(view.extras.names), []
+    for prefix, *attributes in _EXTRA_CHARTS:
+        names = [name for name in names_left if name.startswith(prefix)]
+        names_left = [name for name in names_left if name not in names]
+        charts += [_extra_chart(view, view.extras, names, *attributes)] if names else []
     return tuple(charts)
 
 
 def _extra_chart(view: RunView, extras: Extras, names: list[str], key: str, title: str, unit: str) -> Chart:
+    """Return the chart of estimated parameters that share a unit, with bands of ±2σ and their true values if known.
+
+    Args:
+        view: run with the true values.
+        extras: estimates of the parameters over time.
+        names: names of the parameters in this chart.
+        key: path of the chart in a recording.
+        title: title of the chart.
+        unit: unit of the parameters.
+    """
     lines: list[Line] = []
-    reaches: list[Array] = []
+    shown_values: list[Array] = []
     for k, name in enumerate(names):
         column, colour = extras.names.index(name), style.RUNS[k % len(style.RUNS)]
         values, reach = clean(extras.values[:, column]), 2 * clean(extras.sigmas[:, column])
         label = name.replace("_", " ") if len(names) > 1 or name != key else ""
         lines.append(Line(name, f"{name} ±2σ", label, extras.time, values, colour, reach=reach))
         # The prior at the start is omitted.
-        late = slice(len(values) // 4, None)
-        reaches += [values, values[late] + reach[late], values[late] - reach[late]]
+        later_part = slice(len(values) // 4, None)
+        shown_values += [values, values[later_part] + reach[later_part], values[later_part] - reach[later_part]]
         if name in view.extra_truth:
             truth = np.broadcast_to(view.extra_truth[name], extras.time.shape)
             lines.append(Line(f"{name}_truth", f"{name} true", "", extras.time, truth, colour, 1.1, dashed=True))
-            reaches.append(truth)
-    every = np.concatenate(reaches)
-    finite = every[np.isfinite(every)]
-    shown = padded(np.quantile(finite, [0.01, 0.99])) if finite.size else None
-    dashed = ", dashed: true" if any(line.dashed for line in lines) else ""
-    return Chart(key, title, unit, tuple(lines), shown=shown, note=f", ±2σ{dashed}")
+            shown_values.append(truth)
+    all_values = np.concatenate(shown_values)
+    finite = all_values[np.isfinite(all_values)]
+    value_range = padded(np.quantile(finite, [0.01, 0.99])) if finite.size else None
+    remark = ", dashed: true" if any(line.dashed for line in lines) else ""
+    return Chart(key, title, unit, tuple(lines), shown=value_range, note=f", ±2σ{remark}")
 
 
 def charts(view: RunView) -> dict[str, Chart]:
-    """Return the charts of motion and quality by key."""
+    """Return the charts of motion and quality of a run by key, so that runs can be compared chart by chart."""
     return {chart.key: chart for chart in (*motion_charts(view), *check_charts(view))}

@@ -39,15 +39,24 @@ def tube(axes: Axes, shown: Tube) -> None:
 
 
 def _ring(axes: Axes, orbit: PeriodicOrbit, shift: Array | float = 0.0) -> None:
+    """Draw a periodic orbit in the plane of positions, shifted by `shift`, a state of whole turns."""
     axes.plot(*(orbit.sample() + shift)[:, :2].T, color=style.saddle_colour(orbit.saddle), linewidth=2.5)
 
 
 def _curves(axes: Axes, pieces: Iterable[Piece], *, stable: bool, period: float = np.inf) -> None:
+    """Draw pieces of a cut on a section, dashed if the tube crosses it backward.
+
+    Args:
+        axes: panel to draw on.
+        pieces: pieces of the cut, with points (K, 2) of position and momentum.
+        stable: True for the cut of a stable tube.
+        period: period of the position; infinite if it has none.
+    """
     for piece in pieces:
         points = np.vstack([piece.points, piece.points[:1]]) if piece.closed else piece.points
         line = "-" if piece.direction > 0 else "--"
-        for run in wrapped_runs(points, (period if np.isfinite(period) else None, None)):
-            axes.plot(*run.T, color=BRANCHES[stable, 1], linewidth=1.3, linestyle=line, zorder=2)
+        for stretch in wrapped_runs(points, (period if np.isfinite(period) else None, None)):
+            axes.plot(*stretch.T, color=BRANCHES[stable, 1], linewidth=1.3, linestyle=line, zorder=2)
 
 
 def cut(axes: Axes, shown: Cut) -> None:
@@ -69,7 +78,7 @@ _MOMENTUM = "its momentum on the section, p / p₀"
 
 
 def search(axes: Axes, result: ConnectionSearch, shown: Sequence[Connection] | None = None) -> None:
-    """Draw the cuts of both tubes and the connections.
+    """Draw the cuts of both tubes of a search on its section, and the connections as their common points.
 
     Args:
         axes: panel to draw on.
@@ -80,23 +89,24 @@ def search(axes: Axes, result: ConnectionSearch, shown: Sequence[Connection] | N
     section = result.cuts[0].section
     coordinate = int(np.argmax(np.abs(section.position)))
     period = float(result.source.system.periods[coordinate])
-    for side, cut in zip((result.source.manifold(), result.target.manifold(stable=True)), result.cuts, strict=True):
-        _curves(axes, (side.placed(piece, section) for piece in cut.pieces), stable=side.stable, period=period)
+    for manifold, cut in zip((result.source.manifold(), result.target.manifold(stable=True)), result.cuts, strict=True):
+        _curves(axes, (manifold.placed(piece, section) for piece in cut.pieces), stable=manifold.stable, period=period)
     for q, p in (connection.place for connection in shown):
         turns = np.rint(q / period)
+        # Without a period no turns exist, and 0 times infinity would be nan.
         axes.plot(
             q - (turns and turns * period), p, "o", color=style.INK, markeredgecolor="white", markersize=6, zorder=4
         )
     title = f"{result.source.saddle} → {result.target.saddle}: {counted(len(shown), 'connection')}"
-    across = f"{result.source.system.labels[coordinate]} on the section"
-    axes.set(title=f"{title} on {section.name}", xlabel=across, ylabel=_MOMENTUM)
-    look = {"color": style.INK, "marker": "o", "linestyle": ""}
+    axis_label = f"{result.source.system.labels[coordinate]} on the section"
+    axes.set(title=f"{title} on {section.name}", xlabel=axis_label, ylabel=_MOMENTUM)
+    dot = {"color": style.INK, "marker": "o", "linestyle": ""}
     tubes = [(f"tube from {result.source.saddle}", style.UNSTABLE), (f"tube to {result.target.saddle}", style.STABLE)]
-    key(axes, [*tubes, _BACKWARD, ("connections", look)])
+    key(axes, [*tubes, _BACKWARD, ("connections", dot)])
 
 
 def flights(axes: Axes, connections: Sequence[Connection]) -> None:
-    """Draw connections and their orbits in the plane of positions.
+    """Draw connections and the orbits that they leave and join, in the plane of positions.
 
     Args:
         axes: panel to draw on.
@@ -125,7 +135,7 @@ def flown(axes: Axes, result: Connection | SymmetricSearch) -> None:
 
 
 def edges(axes: Axes, result: Edges) -> None:
-    """Draw a connection graph.
+    """Draw a connection graph: the saddles' orbits at one energy, and arrows with the numbers of connections.
 
     Args:
         axes: panel to draw on.
@@ -152,13 +162,13 @@ def flight(axes: Axes, result: Flight) -> None:
 
 
 def recording(axes: Axes, shown: Recording) -> None:
-    """Draw the measured angles, segment by segment.
+    """Draw the measured angles of a recording over time, interrupted between its segments.
 
     Args:
         axes: panel to draw on.
         shown: recording to draw.
     """
-    for part in shown.split():
+    for segment in shown.split():
         for arm in range(shown.arms):
-            axes.plot(part.time, part.angles[:, arm], color=style.arm_colour(arm), linewidth=0.9)
+            axes.plot(segment.time, segment.angles[:, arm], color=style.arm_colour(arm), linewidth=0.9)
     axes.set(title=f"{shown.name}: {len(shown.segments)} segments", xlabel="time (s)", ylabel="angles (rad)")

@@ -43,34 +43,45 @@ class Strip:
 
 
 def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
-    """Return the strips of itinerary (planned and flown), symbols and modes that exist.
+    """Return the strips of a run's story that exist: planned and done itinerary, symbols, activities, and modes.
 
     Args:
         view: run to draw.
         until: planned end of the run, s; the plan's end by default.
     """
     begin, end = view.time_range
-    due = view.plan.duration if until is None else until
-    stopped = due is not None and end < due - 2 / view.rate_hz
-    ended = (Span(end, due, "ended", style.FAINT, "ended"),) if due is not None and stopped else ()
+    planned_end = view.plan.duration if until is None else until
+    # Two periods are allowed for, because the last tick of a complete run precedes the planned end.
+    stopped = planned_end is not None and end < planned_end - 2 / view.rate_hz
+    ended = (Span(end, planned_end, "ended", style.FAINT, "ended"),) if planned_end is not None and stopped else ()
     strips_of_run = []
     if view.plan.planned:
-        between = [Span(a, b, "change of orbit", style.FAINT, "transfer") for a, b in view.plan.transfers]
+        between = [
+            Span(span_start, span_end, "change of orbit", style.FAINT, "transfer")
+            for span_start, span_end in view.plan.transfers
+        ]
         name = "near" if view.what == "walk" else "planned"
         strips_of_run.append(Strip("asked", name, (*_stays(view.plan.planned), *between)))
         if view.what not in ("reference", "walk"):
             strips_of_run.append(Strip("done", "done", (*_stays(view.done), *ended)))
     if view.plan.symbols:
-        moments = [begin, *(at for at, _ in view.plan.symbols), end]
+        moments = [begin, *(moment for moment, _ in view.plan.symbols), end]
         names = ["before the first", *(f"{k + 1}: {name}" for k, (_, name) in enumerate(view.plan.symbols))]
         tints = [style.FAINT, *(style.RUNS[k % len(style.RUNS)] for k in range(len(view.plan.symbols)))]
-        parts = zip(pairwise(moments), names, tints, strict=True)
+        spans = zip(pairwise(moments), names, tints, strict=True)
         strips_of_run.append(
-            Strip("symbol", "", tuple(Span(a, b, name, tint, "symbol") for (a, b), name, tint in parts))
+            Strip(
+                "symbol",
+                "",
+                tuple(Span(span_start, span_end, name, tint, "symbol") for (span_start, span_end), name, tint in spans),
+            )
         )
     if motions := tuple(_motions(view)):
         strips_of_run.append(Strip("motion", "motion", motions))
-    if modes := tuple(Span(a, b, name, style.MODES.get(name, style.FAINT), "mode") for a, b, name in mode_spans(view)):
+    if modes := tuple(
+        Span(span_start, span_end, name, style.MODES.get(name, style.FAINT), "mode")
+        for span_start, span_end, name in mode_spans(view)
+    ):
         strips_of_run.append(Strip("mode", "controller", (*modes, *ended)))
     return tuple(strips_of_run)
 
@@ -85,24 +96,34 @@ _MOTIONS = {
 
 
 def _motions(view: RunView) -> Iterator[Span]:
-    """Yield the periods of a run by activity: on its itinerary, braking after a fall, or flying back."""
-    changes = [event for event in view.events if event.name in _MOTIONS]
-    if not any(event.name == RETURN for event in changes):
+    """Yield the periods of a run by activity: on its itinerary, braking after a fall, or flying back.
+
+    A run without a fall has none, because it is on its itinerary throughout.
+    """
+    motion_events = [event for event in view.events if event.name in _MOTIONS]
+    if not any(event.name == RETURN for event in motion_events):
         return
-    ends = [*(event.time for event in changes[1:]), view.time_range[1]]
-    for event, end in zip(changes, ends, strict=True):
+    ends = [*(event.time for event in motion_events[1:]), view.time_range[1]]
+    for event, end in zip(motion_events, ends, strict=True):
         if end > event.time:
             yield Span(event.time, end, *_MOTIONS[event.name], "motion")
 
 
 def _stays(stays: tuple[Stay, ...]) -> Iterator[Span]:
+    """Yield stays as spans in the colours of their saddles; stays that the plan does not contain are red."""
     for stay in stays:
         colour = style.saddle_colour(stay.saddle) if stay.wanted else style.LIMIT
         yield Span(stay.first, stay.last, stay.text, colour, "stay" if stay.wanted else "astray")
 
 
 def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
-    """Return start and end in s and name of each stretch of constant mode, "unknown mode" for other numbers."""
+    """Return the stretches of constant mode of the controller, each with start and end in s and the mode's name.
+
+    A number that is no mode is called "unknown mode".
+
+    Args:
+        view: run with or without modes.
+    """
     if view.control is None or "mode" not in view.control:
         return []
     names = {float(mode): mode.name.lower() for mode in Mode}
@@ -110,12 +131,13 @@ def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
     starts = np.concatenate([[0], np.flatnonzero(np.diff(modes) != 0) + 1])
     ends = np.concatenate([starts[1:], [len(modes) - 1]])
     return [
-        (float(view.time[a]), float(view.time[b]), names.get(float(modes[a]), "unknown mode"))
-        for a, b in zip(starts, ends, strict=True)
+        (float(view.time[start]), float(view.time[end]), names.get(float(modes[start]), "unknown mode"))
+        for start, end in zip(starts, ends, strict=True)
     ]
 
 
 _TALL = 0.84
+"""Height of a strip, where rows are 1 apart."""
 _WRONG = {"facecolor": "#f7d9d6", "edgecolor": style.LIMIT, "hatch": "xxxx"}
 _BETWEEN = {"facecolor": "#eceef0", "edgecolor": style.FAINT, "hatch": "////"}
 _BADGE: dict[str, Any] = {
@@ -129,6 +151,7 @@ _BADGE: dict[str, Any] = {
 """Look of a symbol's number, white on a dark disc."""
 _ROW = 0.24
 _AROUND = 0.62
+"""Heights of a row, and of the time axis with the symbols' names, inches."""
 
 
 def add_story(page: Page, view: RunView, *, span: Range | None = None) -> None:
@@ -141,24 +164,46 @@ def add_story(page: Page, view: RunView, *, span: Range | None = None) -> None:
     """
     rows = [strip for strip in strips(view, until=None if span is None else span[1]) if strip.name]
     if rows:
-        drawn = partial(_story, view=view, rows=rows, span=span or view.span, width=page.width)
-        page.row(drawn, height=_AROUND + _ROW * len(rows))
+        draw_story = partial(_story, view=view, rows=rows, span=span or view.span, width=page.width)
+        page.row(draw_story, height=_AROUND + _ROW * len(rows))
 
 
 def _width(text: str, second: float) -> float:
-    """Return the time that a text takes, s, at a scale of `second` seconds per inch."""
+    """Return the duration that a text covers on the time axis, s, with a small margin.
+
+    Args:
+        text: text in the smallest type.
+        second: scale of the axis, s per inch.
+    """
     return (text_width(text, style.SMALL) + 0.08) * second
 
 
 def _story(axes: Axes, view: RunView, rows: list[Strip], span: Range, width: float) -> None:
+    """Draw the strips of a run below one another over time, with the symbols' times, numbers and names.
+
+    Args:
+        axes: panel to draw on.
+        view: run with the symbols.
+        rows: strips, the first at the top.
+        span: displayed time range, s.
+        width: width of the page, inches.
+    """
     begin, end = span
-    second = (end - begin) / (width - 1.2)
-    marks = {"done": [done for _, _, done in view.symbols if done is not None]}
-    marks[rows[0].name] = [planned for _, planned, _ in view.symbols]
+    # The names of the strips take the rest of the width.
+    seconds_per_inch = (end - begin) / (width - 1.2)
+    symbol_times = {"done": [done for _, _, done in view.symbols if done is not None]}
+    symbol_times[rows[0].name] = [planned for _, planned, _ in view.symbols]
     for place, strip in enumerate(reversed(rows)):
-        for part in strip.spans:
-            _part(axes, part, place, second, marks=marks.get(strip.name, []), mode=strip.name == "controller")
-    _numbers(axes, view, [strip.name for strip in rows], span, second)
+        for stretch in strip.spans:
+            _part(
+                axes,
+                stretch,
+                place,
+                seconds_per_inch,
+                marks=symbol_times.get(strip.name, []),
+                mode=strip.name == "controller",
+            )
+    _numbers(axes, view, [strip.name for strip in rows], span, seconds_per_inch)
     axes.set(
         xlim=(begin, end),
         ylim=(-0.08, len(rows) + 0.02),
@@ -172,17 +217,26 @@ def _story(axes: Axes, view: RunView, rows: list[Strip], span: Range, width: flo
 
 
 def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[float], mode: bool) -> None:
-    """Draw a span of a strip, with its text if this has room between the symbols' marks, s."""
+    """Draw a span of a strip, with its text if it has room for it and no symbol's mark crosses the text.
+
+    Args:
+        axes: panel of the story.
+        part: span to draw.
+        place: height of the strip's lower edge.
+        second: scale of the time axis, s per inch.
+        marks: times of the symbols' marks on this strip, s.
+        mode: True for a strip of modes, whose end gets no text.
+    """
     # A mode of one tick, as at an end, is widened to remain visible.
     width = max(part.last - part.first, (0.06 if part.kind == "mode" else 0.04) * second)
     first = part.last - width if part.kind == "mode" else part.first
     look = {"astray": _WRONG, "transfer": _BETWEEN, "ended": _BETWEEN}.get(part.kind, {"facecolor": part.colour})
     axes.broken_barh([(first, width)], (place, _TALL), linewidth=0, **look)  # type: ignore[arg-type]
-    ended = "" if mode else f"the run ended at {part.first:.2f} s"
-    text = ended if part.kind == "ended" else part.text
-    middle, wide = first + width / 2, _width(text, second)
-    marked = any(abs(at - middle) < wide / 2 + 0.1 * second for at in marks)
-    if not text or marked or width < wide:
+    end_text = "" if mode else f"the run ended at {part.first:.2f} s"
+    text = end_text if part.kind == "ended" else part.text
+    middle, text_duration = first + width / 2, _width(text, second)
+    marked = any(abs(mark - middle) < text_duration / 2 + 0.1 * second for mark in marks)
+    if not text or marked or width < text_duration:
         return
     colour = {"stay": style.PAPER, "astray": style.LIMIT, "mode": style.INK}.get(part.kind, style.NOTE)
     box = None if part.kind in ("stay", "mode") else {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
@@ -201,23 +255,31 @@ def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[floa
 
 
 def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: float) -> None:
-    """Number the symbols at their planned and actual times, and name them above if there is room."""
+    """Mark the symbols at their planned and actual times, number the planned ones, and name them if there is room.
+
+    Args:
+        axes: panel of the story.
+        view: run with the symbols.
+        rows: names of the strips, from the top; the first has the planned times, "done" the actual ones.
+        span: displayed time range, s.
+        second: scale of the time axis, s per inch.
+    """
     begin, end = span
-    free, last, named = begin, -1e9, []
+    free_from, last_badge, names = begin, -1e9, []
     for i, (name, planned, done) in enumerate(view.symbols):
         for row, moment in ((rows[0], planned), ("done", done)):
             if row in rows and moment is not None and begin <= moment <= end:
                 place = len(rows) - 1 - rows.index(row)
                 axes.plot([moment, moment], [place, place + _TALL], color=style.INK, linewidth=1.4, zorder=4.5)
-                if row == rows[0] and moment - last > 0.2 * second:
+                if row == rows[0] and moment - last_badge > 0.2 * second:
                     axes.text(moment, place + _TALL / 2, str(i + 1), **_BADGE)
-                    last = moment
-        half = _width(name, second) / 2
-        left = min(max(planned - half, begin), end - 2 * half)
-        if left > free and begin <= planned <= end:
-            named.append((left + half, name))
-            free = left + 2 * half
+                    last_badge = moment
+        half_width = _width(name, second) / 2
+        left = min(max(planned - half_width, begin), end - 2 * half_width)
+        if left > free_from and begin <= planned <= end:
+            names.append((left + half_width, name))
+            free_from = left + 2 * half_width
     look = {"ha": "center", "va": "bottom", "fontsize": style.SMALL, "color": style.INK}
-    # A few names would not tell to which of many motions they belong.
-    for middle, name in named if 2 * len(named) >= len(view.symbols) else ():
+    # If only a few of many symbols are named, the reader cannot match the names.
+    for middle, name in names if 2 * len(names) >= len(view.symbols) else ():
         axes.text(middle, len(rows) - 0.02, name, **look)  # type: ignore[arg-type]

@@ -98,7 +98,10 @@ _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def saddle_colour(saddle: str) -> str:
-    """Return the colour of a saddle's items."""
+    """Return the colour of everything that belongs to a saddle: its orbits, stays and energy.
+
+    A saddle that is not listed in `SADDLES` gets one of the colours `CONNECTIONS`, always the same for its name.
+    """
     return SADDLES.get(saddle) or CONNECTIONS[sum(map(ord, saddle)) % len(CONNECTIONS)]
 
 
@@ -113,7 +116,7 @@ def verdict_colour(good: bool | None) -> str:
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Return `#rrggbb` as three numbers from 0 to 255."""
+    """Return a colour `#rrggbb` as red, green and blue, 0 to 255 each, as Rerun takes it."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 

@@ -69,18 +69,23 @@ LIVE_REMEDY = "leave out --live, and draw the log with `dpcontrol review LOG --p
 
 
 def check_viewer(remedy: str = REVIEW_REMEDY) -> Path:
-    """Return the viewer's executable; `remedy` is advice for a user without a display.
+    """Check that a viewer can be opened here, and return its executable.
+
+    It is the configured one (`viewer` of the configuration), or the one in the rerun-sdk package.
+
+    Args:
+        remedy: advice for a user without a display.
 
     Raises:
         InputError: there is no viewer, or no display to open it on.
         PartMissing: rerun-sdk is not installed.
     """
     part("rerun")
-    named = configuration().viewer
-    program = Path(os.path.expanduser(named)) if named else viewer_program()
-    if named and not os.access(str(program), os.X_OK):
+    configured = configuration().viewer
+    program = Path(os.path.expanduser(configured)) if configured else viewer_program()
+    if configured and not os.access(str(program), os.X_OK):
         raise InputError(
-            f"viewer = {named!r}: there is no such program; correct it (`dpcontrol config` shows where it is set)"
+            f"viewer = {configured!r}: there is no such program; correct it (`dpcontrol config` shows where it is set)"
         )
     if program is None:
         raise InputError("the installed rerun-sdk holds no viewer; install rerun-sdk from PyPI again")
@@ -101,9 +106,9 @@ def start_viewer(*arguments: str, **others: Any) -> "subprocess.Popen[Any]":
     Raises:
         InputError: there is no viewer, or no display to open it on.
     """
-    silent: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    streams: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     command = [str(check_viewer()), *arguments, *_LOOPBACK]
-    return subprocess.Popen(command, env={**os.environ, **_QUIET}, **{**silent, **others})
+    return subprocess.Popen(command, env={**os.environ, **_QUIET}, **{**streams, **others})
 
 
 def view_in_window(shown: Any, name: str) -> Path:
@@ -160,7 +165,7 @@ Shown = RunView | RunComparison | Atlas
 
 
 def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
-    """Return the view of one or more files.
+    """Return the content of one or more files for a review: a run, a reference, an atlas, or a comparison of runs.
 
     Args:
         files: a log, a reference or an atlas; or several logs, which are compared.
@@ -171,16 +176,20 @@ def opened(files: Sequence[Path], *, symbol: int = 1) -> Shown:
     """
     if not files:
         raise InputError("files = []: give one at least")
-    first, *more_files = files
+    first_file, *more_files = files
     if more_files:
-        if other := next((file for file in files if file.suffix.lower() == ".npz"), None):
+        if array_file := next((file for file in files if file.suffix.lower() == ".npz"), None):
             raise InputError(
-                f"{other} is not a log: several files can be compared only if all are logs; review it alone"
+                f"{array_file} is not a log: several files can be compared only if all are logs; review it alone"
             )
         return compare([run_view(read_log(file)) for file in files], symbol=symbol)
-    if first.suffix.lower() == ".npz":
-        return reference_view(load_reference(first), first) if archive_format(first) == FORMAT else load_atlas(first)
-    return run_view(read_log(first))
+    if first_file.suffix.lower() == ".npz":
+        return (
+            reference_view(load_reference(first_file), first_file)
+            if archive_format(first_file) == FORMAT
+            else load_atlas(first_file)
+        )
+    return run_view(read_log(first_file))
 
 
 RATE = 50.0
@@ -221,7 +230,9 @@ class LiveView(LoopSink):
 
     def __enter__(self) -> "LiveView":
         self.process.start()
+        # The other process has its own copy of this end; the pipe is closed when no copy is left.
         self._reading.close()
+        # A full pipe must not delay the control loop.
         os.set_blocking(self.pipe.fileno(), False)
         return self
 
@@ -234,24 +245,33 @@ class LiveView(LoopSink):
             remark(f"the live view was behind: {self._dropped:,} of {self._sent:,} rows were left out; the log has all")
 
     def ticks(self, rows: Ticks) -> None:
-        """Show a selection of the next ticks."""
+        """Send every few of the next ticks to the viewer's process, so that it gets about 50 rows in each second.
+
+        Args:
+            rows: the next ticks of the run.
+        """
         count = len(rows.times)
         for k in range(self._left, count, self._every):
-            parts = [rows.times[k : k + 1], rows.measured[k], rows.estimates[k], rows.references[k], rows.control[k]]
+            columns = [rows.times[k : k + 1], rows.measured[k], rows.estimates[k], rows.references[k], rows.control[k]]
             if rows.truth is not None:
-                parts.append(rows.truth[k])
-            self._send(np.concatenate(parts))
+                columns.append(rows.truth[k])
+            self._send(np.concatenate(columns))
+        # Number of ticks to skip at the beginning of the next rows, so that the selection stays even.
         self._left = -(count - self._left) % self._every
 
     def event(self, event: Event) -> None:
-        """Show one event.
+        """Send one event to the viewer's process.
 
         Args:
-            event: the event.
+            event: event of the run.
         """
         self._send(event)
 
     def _send(self, content: Array | Event) -> None:
+        """Send a row of values or an event to the viewer's process, or drop it if the pipe is full.
+
+        If the process has ended, its pipe is closed and everything later is ignored.
+        """
         if self.pipe.closed:
             return
         self._sent += 1
@@ -276,29 +296,30 @@ state; units as in `Ticks`.
 
 
 def parts_of(pipe: Connection, open_: Callable[[], bool] = lambda: True) -> Iterator[Part]:
-    """Yield rows and events as they arrive, until the pipe is closed.
+    """Yield rows and events as they arrive, until the pipe or the viewer is closed.
 
     Args:
         pipe: reading end of the pipe.
-        open_: returns False when the viewer was closed.
+        open_: function that returns False if the viewer was closed.
     """
-    going = True
-    while going and open_():
+    pipe_open = True
+    while pipe_open and open_():
         # Rows that arrive in the meantime are shown together.
         time.sleep(_PAUSE)
         items: list[Any] = []
         with contextlib.suppress(EOFError):
-            going = False
+            # This stays False if the end of the pipe interrupts the loop.
+            pipe_open = False
             while pipe.poll():
                 items.append(pipe.recv())
-            going = True
+            pipe_open = True
         rows = [item for item in items if isinstance(item, np.ndarray)]
         if items:
             yield np.array(rows).reshape(len(rows), -1), tuple(item for item in items if isinstance(item, Event))
 
 
 def show(recording: "recorded.rr.RecordingStream", start: RunLog, parts: Iterable[Part]) -> None:
-    """Show the plan of a run with its orbits and tubes, and the run as it arrives.
+    """Show a run in the viewer: first its plan with orbits and tubes, then each part of the run as it arrives.
 
     Args:
         recording: recording of the viewer.
@@ -306,13 +327,13 @@ def show(recording: "recorded.rr.RecordingStream", start: RunLog, parts: Iterabl
         parts: rows and events.
     """
     planned, log = reference_view(plan_of(start), start.path), replace(start, rate_hz=RATE, extras=None)
-    tail, waiting = None, ()
+    last_rows, new_events = None, ()
     for rows, events in parts:
-        waiting += events
+        new_events += events
         if not len(rows):
             continue
-        view = _view(log, planned, rows, waiting)
-        if tail is None:
+        view = _view(log, planned, rows, new_events)
+        if last_rows is None:
             sheets = [recorded.Sheet.around(plane(view, arm)) for arm in range(view.arms)]
             recording.send_blueprint(recorded.blueprint(view, sheets, growing=True), make_active=True)
             recording.send_recording_name(view.title)
@@ -323,16 +344,24 @@ def show(recording: "recorded.rr.RecordingStream", start: RunLog, parts: Iterabl
         modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
         recorded.record_strips(recording, "", modes, view)
         recorded.record_places(recording, recorded.PLANES, view)
-        both = rows if tail is None else np.concatenate([tail, rows])
-        recorded.draw_pendulum(recording, recorded.SCENE, _view(log, planned, both, ()))
+        drawn_rows = rows if last_rows is None else np.concatenate([last_rows, rows])
+        recorded.draw_pendulum(recording, recorded.SCENE, _view(log, planned, drawn_rows, ()))
         recorded.record_events(recording, view)
-        tail, waiting = both[-_TAIL:], ()
+        last_rows, new_events = drawn_rows[-_TAIL:], ()
 
 
 def _view(start: RunLog, planned: RunView, rows: Array, events: tuple[Event, ...]) -> RunView:
-    """Return rows as a `RunView`."""
+    """Return rows that arrived as a `RunView`, which the drawing functions of recordings take.
+
+    Args:
+        start: log of the run before its first row.
+        planned: view of the run's reference.
+        rows: (K, D) as in `Part`.
+        events: events that arrived with the rows.
+    """
     n = len(start.arm_lengths)
     width = 2 * n + 2
+    # Ends of the columns of a row: time, measurement, estimate, reference and control; the rest is the true state.
     sizes = np.cumsum([1, n + 1, width, width, len(start.controls)])
     times, measured, estimate, reference, control, truth = np.split(rows, sizes, axis=1)
     states = {"estimate": estimate, "reference": reference} | ({"truth": truth} if truth.size else {})
@@ -346,7 +375,13 @@ def _view(start: RunLog, planned: RunView, rows: Array, events: tuple[Event, ...
 
 
 def _run(start: RunLog, address: str, pipe: Connection) -> None:
-    """Show the rows in a pipe in the viewer at an address, or with "" open one; this is the separate process."""
+    """Show the rows in a pipe in the viewer; this is the main function of the separate process.
+
+    Args:
+        start: log of the run before its first row.
+        address: address of an open viewer; "" opens one.
+        pipe: reading end of the pipe.
+    """
     # Ctrl-C ends the run, and neither this process nor the viewer.
     os.setsid()
     os.nice(10)
@@ -355,9 +390,10 @@ def _run(start: RunLog, address: str, pipe: Connection) -> None:
         Path("/proc/self/autogroup").write_text("19")
     viewer = None
     if not address:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = str(free.getsockname()[1])
+        # The system chooses a free port; the viewer is then started at it.
+        with socket.socket() as free_socket:
+            free_socket.bind(("127.0.0.1", 0))
+            port = str(free_socket.getsockname()[1])
         viewer = start_viewer("--port", port, "--memory-limit", _MEMORY, "--hide-welcome-screen")
         address = f"rerun+http://127.0.0.1:{port}/proxy"
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())

@@ -32,6 +32,7 @@ from dpcontrol.walks.shadowing import ShadowingOrbit
 NEAR = 1e-3
 """Scaled distance from a periodic orbit at which flights end and wraps begin, as for connection times."""
 _PER_PERIOD = 120
+"""Samples in a period of the fastest periodic orbit."""
 _MOST_SAMPLES = 40_000
 _TIME = colormaps["viridis"]
 _DOTS = 15_000
@@ -78,12 +79,19 @@ class WalkStory:
 
     @cached_property
     def stays(self) -> tuple[Stay, ...]:
-        """Periods near the periodic orbits with their wraps: before the walk, at each stop, and after it."""
+        """Periods near the periodic orbits of the walk: before the first symbol, at each stop, and after the last one.
+
+        A symbol is a flight along a connection. It ends the stay at its source and begins that at its target, before
+        and after the time of its section crossing. The label of a stay is the number of wraps about the orbit.
+        """
         orbit, chain = self.orbit, self.orbit.connections
-        arrivals = [at + c.time_in for at, c in zip(orbit.symbol_times.tolist(), chain, strict=True)]
-        departures = [at - c.time_out for at, c in zip(orbit.symbol_times.tolist(), chain, strict=True)]
+        arrivals = [symbol_time + c.time_in for symbol_time, c in zip(orbit.symbol_times.tolist(), chain, strict=True)]
+        departures = [
+            symbol_time - c.time_out for symbol_time, c in zip(orbit.symbol_times.tolist(), chain, strict=True)
+        ]
         saddles, wraps = [chain[0].source.saddle, *(c.target.saddle for c in chain)], orbit.wraps_realised
         wraps = (wraps[-1], *wraps) if orbit.periodic else (orbit.lead_in, *wraps, orbit.lead_out)
+        # A flight leaves its source `time_out` before its crossing, and joins its target `time_in` after it.
         edges = zip([0.0, *arrivals], [*departures, orbit.duration], saddles, wraps, strict=True)
         first, *inner, last = (Stay(start, end, saddle, f"{saddle} {count}×") for start, end, saddle, count in edges)
         stays = [first, *inner, last]
@@ -95,7 +103,7 @@ class WalkStory:
 
     @property
     def view(self) -> RunView:
-        """The walk as a `RunView` with its stays and symbols."""
+        """The walk as a `RunView`, the motion that pages and films draw, with its stays and symbols."""
         orbit, count, system = self.orbit, len(self.orbit.symbol_times), self.orbit.system
         kind = "A periodic orbit" if orbit.periodic else "An orbit"
         energy = f"{orbit.connections[0].source.energy:g}{system.unit('J')}"
@@ -116,7 +124,7 @@ class WalkStory:
         )
 
     def nearness(self) -> Chart:
-        """Return the distances between the orbit and the periodic orbits."""
+        """Return the chart of the distances between the walk and its periodic orbits, scaled as for counting wraps."""
         lines = tuple(
             Line(
                 saddle,
@@ -133,14 +141,14 @@ class WalkStory:
 
 
 def _symbol_text(connection: Connection) -> str:
-    """Return a connection's symbol, such as "down-up > up-down -"."""
+    """Return the symbol of a connection as users write it, such as "down-up > up-down -", with its sense."""
     sense = "+" if connection.sense > 0 else "-"
     source, target = connection.source.saddle, connection.target.saddle
     return f"{source} {sense}" if source == target else f"{source} > {target} {sense}"
 
 
 def draw_walk(orbit: ShadowingOrbit) -> Figure:
-    """Return the page of a walk as a figure."""
+    """Return the page of an orbit that follows a walk: story, film, angles, distances and shape."""
     walk = WalkStory(orbit)
     view = walk.view
     page = Page(view.title, view.verdict).origin(
@@ -149,8 +157,8 @@ def draw_walk(orbit: ShadowingOrbit) -> Figure:
     add_story(page, view)
     if view.arm_lengths:
         add_film(page, view, film_times(view, frames=_FRAMES))
-    shown = [*([charts(view)["angles"]] if walk.has_angles else []), walk.nearness()]
-    panels = [partial(draw_chart, chart=chart, view=view, span=view.time_range) for chart in shown]
+    shown_charts = [*([charts(view)["angles"]] if walk.has_angles else []), walk.nearness()]
+    panels = [partial(draw_chart, chart=chart, view=view, span=view.time_range) for chart in shown_charts]
     shape = Panel(partial(draw_shape, story=walk), 0.75, space=walk.has_angles)
     return page.row(Stack(panels), shape, height=4.4).figure()
 
@@ -166,12 +174,12 @@ def draw_shape(axes: Axes, story: WalkStory) -> None:
         story: walk to draw.
     """
     orbit, system = story.orbit, story.orbit.system
-    picked = [0, 1, system.dimension // 2][: 3 if story.has_angles else 2]
+    columns = [0, 1, system.dimension // 2][: 3 if story.has_angles else 2]
     for copy, saddle in _base_orbits(story):
-        axes.plot(*copy[:, picked].T, color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
+        axes.plot(*copy[:, columns].T, color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
     times = np.linspace(0.0, orbit.duration, _DOTS)
-    axes.scatter(*orbit.states(times)[:, picked].T, c=times, cmap=_TIME, s=1.0, rasterized=True)
-    for point, time in zip(orbit.states(orbit.symbol_times)[:, picked], orbit.symbol_times, strict=True):
+    axes.scatter(*orbit.states(times)[:, columns].T, c=times, cmap=_TIME, s=1.0, rasterized=True)
+    for point, time in zip(orbit.states(orbit.symbol_times)[:, columns], orbit.symbol_times, strict=True):
         axes.plot(*point[:, None], "o", color=_TIME(time / orbit.duration), markersize=5, markeredgecolor="white")
     if story.has_angles:
         quiet_space(axes, system, "The orbit, angles with whole turns counted; dark to light: time")
@@ -182,10 +190,15 @@ def draw_shape(axes: Axes, story: WalkStory) -> None:
 
 
 def _base_orbits(story: WalkStory) -> list[tuple[Array, str]]:
-    """Return each periodic orbit as a closed curve (M, N) at the lattice points of the walk."""
+    """Return the periodic orbits where the walk passes them, with their saddles: closed curves (M, N) of states.
+
+    A walk that turns over passes an orbit again whole turns away, where another copy of it is drawn.
+    """
     chain, offsets = story.orbit.connections, story.orbit.offsets
     closed = {name: np.vstack([curve.samples, curve.samples[:1]]) for name, curve in story.curves.items()}
-    turn = chain[0].source.system.turn_lengths
+    turn_lengths = chain[0].source.system.turn_lengths
     names = [chain[0].source.saddle, *(c.target.saddle for c in chain)]
-    places = {(name, tuple(offset)): closed[name] + offset * turn for name, offset in zip(names, offsets, strict=True)}
-    return [(curve, name) for (name, _), curve in places.items()]
+    copies = {
+        (name, tuple(offset)): closed[name] + offset * turn_lengths for name, offset in zip(names, offsets, strict=True)
+    }
+    return [(curve, name) for (name, _), curve in copies.items()]

@@ -67,7 +67,7 @@ class Draft:
 
     @property
     def wraps(self) -> list[int]:
-        """The wraps at the interior stops."""
+        """The wraps at the interior stops; while the text has an error, those that can be read."""
         return list(self.itinerary.wraps) if self.itinerary else _listed(self.values.get("wraps"), int)
 
     @property
@@ -113,7 +113,7 @@ class Draft:
         return "" if self.itinerary is None else plan_key(replace(self.itinerary, name="", title=""))
 
     def document(self) -> dict[str, Any]:
-        """Return the draft's data for the page."""
+        """Return the draft as JSON values, which the page shows."""
         run = self.values.get("run")
         return {
             "model": self.values.get("model", "lab"),
@@ -131,7 +131,7 @@ class Draft:
         }
 
     def changed(self, table: str, values: dict[str, Any]) -> str:
-        """Return the text with changed values.
+        """Return the draft's text with changed values of keys, as the page's controls set them.
 
         Args:
             table: name of the table, "" for the top level.
@@ -175,7 +175,7 @@ class Draft:
 
 
 def first_text(model: str) -> str:
-    """Return the initial text for a model.
+    """Return the text with which a new page begins: an itinerary of a model without symbols.
 
     Args:
         model: name or path of the model.
@@ -184,7 +184,7 @@ def first_text(model: str) -> str:
 
 
 def read_draft(text: str) -> Draft:
-    """Parse a text, with errors stored in the result.
+    """Return the draft of a text, in which its first error is stored for the page, since users type step by step.
 
     Args:
         text: itinerary in TOML.
@@ -198,9 +198,9 @@ def read_draft(text: str) -> Draft:
         model = fitting_model(str(values.get("model", "lab")))
         is_empty = values.get("walk") == [] and not values.get("wraps") and "parts" not in values
         # If the walk is empty, the other keys are validated with a placeholder symbol.
-        whole = with_values(text, "", {"walk": [f"{model.system.saddles[0]} +"]}) if is_empty else text
-        checked = itinerary_from(whole, _NAME, model)
-        itinerary = None if is_empty else checked
+        complete_text = with_values(text, "", {"walk": [f"{model.system.saddles[0]} +"]}) if is_empty else text
+        valid_itinerary = itinerary_from(complete_text, _NAME, model)
+        itinerary = None if is_empty else valid_itinerary
     except InputError as error:
         if values and model is None:
             error = InputError(str(error), key="model")
@@ -218,14 +218,15 @@ def line_of(text: str, error: InputError) -> int:
     """
     table, header, lines = "", 1, text.splitlines()
     for number, line in enumerate(lines, start=1):
-        begin = line.partition("#")[0].strip()
-        if begin.startswith("["):
-            table = begin.strip("[] ")
+        content = line.partition("#")[0].strip()
+        if content.startswith("["):
+            table = content.strip("[] ")
             header = number if table == error.table else header
-        elif table == error.table and begin.partition("=")[0].strip() == error.key != "":
+        elif table == error.table and content.partition("=")[0].strip() == error.key != "":
             return number
     return min(error.line, len(lines)) or header
 
 
 def _listed(value: Any, kind: type) -> list[Any]:
-    return [one for one in value if isinstance(one, kind)] if isinstance(value, list) else []
+    """Return the entries of this type in a value of the file, none if the value is no list."""
+    return [entry for entry in value if isinstance(entry, kind)] if isinstance(value, list) else []

@@ -54,7 +54,11 @@ class Planner(AbstractContextManager["Planner"]):
     """
 
     def __init__(self, model: str, *, port: int = 0) -> None:
-        """Start the server.
+        """Start the server for pages that begin with a model.
+
+        Args:
+            model: name or path of the model.
+            port: port of the server, 0 for any free one.
 
         Raises:
             InputError: the model cannot be used, or the port is in use.
@@ -95,10 +99,11 @@ class Planner(AbstractContextManager["Planner"]):
         self._thread.join()
 
     async def _serve(self) -> None:
-        how = {"max_size": _LONGEST, "close_timeout": 1, "server_header": None, "logger": _SILENT}
+        """Serve pages until the planner is closed, then end their sessions and all processes."""
+        options = {"max_size": _LONGEST, "close_timeout": 1, "server_header": None, "logger": _SILENT}
         try:
             await self._workers.prepare()
-            async with self._serving(self._page, sock=self._socket, process_request=self._answer, **how):
+            async with self._serving(self._page, sock=self._socket, process_request=self._answer, **options):
                 while not self._closed:
                     await asyncio.sleep(_POLL)
         finally:
@@ -107,7 +112,10 @@ class Planner(AbstractContextManager["Planner"]):
             await self._workers.close()
 
     def _answer(self, connection: Any, request: Any) -> Any:
-        """Answer a request for a file, or with an error; None for a page that connects."""
+        """Return the response to a request for a file or with an error, or None to let a page open its connection.
+
+        The library calls it with its connection and request before each connection.
+        """
         path, _, query = request.path.partition("?")
         name, kind = _FILES.get(path, ("", "text/plain"))
         if not self._admits(query, request.headers):
@@ -124,6 +132,10 @@ class Planner(AbstractContextManager["Planner"]):
         return response
 
     def _admits(self, query: str, headers: Any) -> bool:
+        """Return True if a request has the token in its query, this server as host, and no origin but this server.
+
+        Other programs and pages in the user's browser are thus rejected.
+        """
         tokens = parse_qs(query).get("token", [])
         return (
             headers.get_all("host") == [self._host]
@@ -133,7 +145,10 @@ class Planner(AbstractContextManager["Planner"]):
         )
 
     async def _page(self, window: Any) -> None:
-        """Receive the commands of one page and send its data."""
+        """Receive the commands of one of the page's windows and send its data, until the window is closed.
+
+        Windows with the same path share a session, so that a reload shows the same itinerary.
+        """
         name = window.request.path.partition("?")[0]
         if name not in self._sessions:
             self._sessions[name] = PageSession(self._workers, self._model, servers.broadcast)
@@ -148,12 +163,13 @@ class Planner(AbstractContextManager["Planner"]):
         session.windows.discard(window)
 
     def _models(self) -> str:
+        """Return the message with the models that a page offers, each with the reason why it cannot be used, or ""."""
         names = dict.fromkeys([self._model, *shipped_names("models")])
         return json.dumps({"models": [{"name": name, "problem": _problem(name)} for name in names]})
 
 
 def _problem(model: str) -> str:
-    """Return the reason why a model cannot be used, or ""."""
+    """Return the reason why a model cannot be used in the planner, or "", for the page's list of models."""
     try:
         fitting_model(model)
     except InputError as error:
@@ -162,6 +178,11 @@ def _problem(model: str) -> str:
 
 
 def _listening(port: int) -> socket.socket:
+    """Return a socket that listens on a port of this computer only, 0 for any free one.
+
+    Raises:
+        InputError: the port is in use or cannot be used.
+    """
     listener = socket.socket()
     try:
         listener.bind(("127.0.0.1", port))

@@ -62,13 +62,20 @@ class PageSession:
     """State of one page, whose JSON messages `broadcast` sends to the browser's windows that show it."""
 
     def __init__(self, workers: Workers, model: str, broadcast: Callable[[Iterable[Any], str], None]) -> None:
+        """Start a page with the first text for a model.
+
+        Args:
+            workers: processes that run the page's jobs.
+            model: name or path of the model.
+            broadcast: sends a message to several windows.
+        """
         self._workers, self._broadcast = workers, broadcast
         self.windows: set[Any] = set()
         self._folder = Path(tempfile.mkdtemp(prefix="dpcontrol-planner-"))
         self._texts, self._at, self._typed = [first_text(model)], 0, False
-        self._draft, shown = _parsed(self._texts[0])
-        names = itertools.chain(["planned"], (f"planned-{k}" for k in itertools.count(2)))
-        self._name = next(name for name in names if not (_ITINERARIES / f"{name}.toml").exists())
+        self._draft, model_message = _parsed(self._texts[0])
+        free_names = itertools.chain(["planned"], (f"planned-{k}" for k in itertools.count(2)))
+        self._name = next(name for name in free_names if not (_ITINERARIES / f"{name}.toml").exists())
         self._atlas: dict[str, Any] = {}
         self._made: dict[str, Any] = {}
         self._written: dict[Path, bytes] = {}
@@ -79,28 +86,28 @@ class PageSession:
         self._again: Callable[[], None] | None = None
         self._order = asyncio.Lock()
         self._set_message("")
-        self._take(self._draft, shown)
+        self._take(self._draft, model_message)
 
     def everything(self) -> list[str]:
-        """Return all messages for a newly loaded page."""
+        """Return all messages that a newly loaded page needs to show the present state."""
         # The count of commands restarts, because the old value belongs to the previous page.
         self._acknowledged = 0
         return [*self._shown.values(), _message("state", self.state())]
 
     def state(self) -> dict[str, Any]:
-        """Return the page's data other than motions and drawings."""
-        working = self._jobs.get("work") or self._jobs.get("look")
+        """Return the page's data other than motions and drawings: draft, results, the current job and the message."""
+        job = self._jobs.get("work") or self._jobs.get("look")
         draft, symbols = self._draft.document(), self._atlas.get("symbols", {})
-        known = {*self._atlas.get("names", ()), *symbols}
+        known_symbols = {*self._atlas.get("names", ()), *symbols}
         return {
             **draft,
             "energy": draft["energy"] if draft["energy"] is not None else self._atlas.get("energy"),
             "names": [symbols.get(text, text) for text in draft["walk"]],
-            "unknown": [k for k, text in enumerate(draft["walk"]) if known and text not in known],
+            "unknown": [k for k, text in enumerate(draft["walk"]) if known_symbols and text not in known_symbols],
             "name": self._name,
             **{kind: self._made.get(kind) for kind in ("plan", "run", "seeds")},
             "saved": self._saved or None,
-            "busy": {key: getattr(working, key) for key in ("what", "done", "kind", "seconds")} if working else None,
+            "busy": {key: getattr(job, key) for key in ("what", "done", "kind", "seconds")} if job else None,
             "working": "work" in self._jobs,
             "message": self._message,
             "retry": self._again is not None,
@@ -121,13 +128,13 @@ class PageSession:
             number = self._acknowledged
             self._set_message("")
             try:
-                given = dict(json.loads(text))
-                number = int(given.pop("n", 0))
-                do = given.pop("do")
-                if do in _EDITS:
-                    await self._change(partial(_EDITS[do], **given), typed=do == "toml")
-                elif (waiting := getattr(self, f"do_{do}")(**given)) is not None:
-                    await waiting
+                arguments = dict(json.loads(text))
+                number = int(arguments.pop("n", 0))
+                action = arguments.pop("do")
+                if action in _EDITS:
+                    await self._change(partial(_EDITS[action], **arguments), typed=action == "toml")
+                elif (task := getattr(self, f"do_{action}")(**arguments)) is not None:
+                    await task
             except InputError as error:
                 self._set_message(str(error), "error")
             except (TypeError, ValueError, OverflowError, LookupError, AttributeError, RecursionError) as error:
@@ -136,7 +143,7 @@ class PageSession:
             self._send_state()
 
     def do_name(self, name: str) -> None:
-        """Set the name of saved files.
+        """Set the name under which itinerary, log and film are saved.
 
         Args:
             name: at most 80 characters that are safe in a file name.
@@ -146,7 +153,7 @@ class PageSession:
         self._name = name
 
     def do_save(self) -> None:
-        """Save the itinerary and the log of its run, if any."""
+        """Save the itinerary as a TOML file, and the log of its last run, if there is one."""
         files = {"toml": self._target(_ITINERARIES / f"{self._name}.toml")}
         contents = {"toml": self._needed("text").encode()}
         if (run := self._made.get("run")) is not None:
@@ -155,11 +162,11 @@ class PageSession:
         for kind, file in files.items():
             write_whole(file, contents[kind])
             self._note(kind, file)
-        saved = " and ".join(map(str, files.values()))
-        self._set_message(f"saved {saved}; run it with `dpcontrol run {self._name}`", "good")
+        saved_files = " and ".join(map(str, files.values()))
+        self._set_message(f"saved {saved_files}; run it with `dpcontrol run {self._name}`", "good")
 
     def do_film(self) -> None:
-        """Write a film of the run."""
+        """Start the job that writes a film of the last run beside its log."""
         self._needed("log")
         film = self._target(_LOGS / f"{self._name}-{self._made['run']['seed']}.gif")
         self._work("film", "log", film=str(film))
@@ -184,81 +191,111 @@ class PageSession:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     async def _step(self, by: int) -> None:
+        """Return to the previous text (`by` = -1) or to the next one (+1), and show it."""
         self._at = min(max(self._at + by, 0), len(self._texts) - 1)
         self._typed = False
         self._take(*await asyncio.to_thread(_parsed, self._texts[self._at]))
 
     def _needed(self, what: str) -> str:
-        """Return the text of an itinerary without mistake, or the log of the last run."""
+        """Return the input that a job needs: for "text" the itinerary's text, for "log" the path of the last run's log.
+
+        Raises:
+            InputError: the text has a mistake, or there is no run yet.
+        """
         log = self._made.get("run", {}).get("log", "")
         if problem := self._draft.problem if what == "text" else "" if log else "no run exists yet: press Run":
             raise InputError(problem)
         return self._draft.text if what == "text" else log
 
     def _target(self, file: Path) -> Path:
-        """Return the path, of a new file or one that is as this page saved it."""
+        """Return a path that may be written: of a new file, or of one that is still as this page saved it.
+
+        Raises:
+            InputError: the file is another one, which must not be overwritten.
+        """
         if file.exists() and file.read_bytes() != self._written.get(file):
             raise InputError(f"{file} exists, and is not as this page saved it: choose another name")
         return file
 
     def _note(self, kind: str, file: Path) -> None:
+        """Remember that the page saved a file of a kind ("toml", "log" or "film"), so that it may overwrite it."""
         self._written[file], self._saved[kind] = file.read_bytes(), str(file)
 
     # These commands restore the previous and the next text.
     do_undo, do_redo = partialmethod(_step, -1), partialmethod(_step, 1)
 
     async def _change(self, edit: Callable[[Draft], str], *, typed: bool = False) -> None:
-        """Replace the text, which is edited and parsed in a thread because a long walk takes seconds."""
+        """Replace the text by an edit of the draft, as a step that can be undone.
+
+        Consecutive changes by typing (`typed`) are one step. Edit and parsing run in a thread because a long walk takes
+        seconds.
+        """
         text = await asyncio.to_thread(edit, self._draft)
         if text != self._texts[self._at]:
-            draft, shown = await asyncio.to_thread(_parsed, text)
-            kept = self._texts[: self._at + (0 if typed and self._typed else 1)]
-            self._texts = [*kept, text][-_UNDONE:]
+            draft, model_message = await asyncio.to_thread(_parsed, text)
+            earlier_texts = self._texts[: self._at + (0 if typed and self._typed else 1)]
+            self._texts = [*earlier_texts, text][-_UNDONE:]
             self._at, self._typed = len(self._texts) - 1, typed
-            self._take(draft, shown)
+            self._take(draft, model_message)
 
     def _take(self, draft: Draft, shown: str) -> None:
-        """Replace the draft, show its model and request the atlas of its energy."""
-        before, self._draft = self._draft, draft
+        """Replace the draft, forget outdated results, and request the atlas of its energy.
+
+        `shown` is the message with the draft's model, "" if the model could not be loaded.
+        """
+        former, self._draft = self._draft, draft
         if shown:
             self._show("model", shown)
-        if draft.text != before.text:
-            self._forget("settings" if draft.content == before.content else "plan")
+        if draft.text != former.text:
+            self._forget("settings" if draft.content == former.content else "plan")
         self._look()
 
     def _show(self, kind: str, message: str) -> None:
+        """Send a message of this kind to all windows unless it was the last one, and keep it for new windows."""
         if self._shown.get(kind) != message:
             self._shown[kind] = message
             self._broadcast(self.windows, message)
 
     def _forget(self, changed: str) -> None:
+        """Drop the results that a change makes outdated, by the names in `_OUTDATED`."""
         for kind in _OUTDATED.get(changed, ()):
             self._made.pop(kind, None)
             self._shown.pop(kind, None)
 
     def _look(self, *, again: bool = False) -> None:
-        """Start the atlas for the text's energy, unless it is current."""
+        """Start the job of the atlas for the text's energy, unless it is current; `again` starts it in any case."""
         draft = self._draft
-        given = {"model": draft.values.get("model", "lab"), "energy": draft.energy}
-        same = all(self._atlas.get(key) == value for key, value in given.items())
-        if draft.energy is None or draft.model is None or (same and not again):
+        arguments = {"model": draft.values.get("model", "lab"), "energy": draft.energy}
+        is_current = all(self._atlas.get(key) == value for key, value in arguments.items())
+        if draft.energy is None or draft.model is None or (is_current and not again):
             return
         self._shown.pop("atlas", None)
-        self._atlas = given
+        self._atlas = arguments
 
         def done(atlas: Any) -> None:
+            """Store the job's result as the atlas of the page."""
             self._atlas = atlas
 
-        self._start("look", WorkerJob("atlas", 0.0, partial(self._look, again=True), "atlas"), given, done)
+        self._start("look", WorkerJob("atlas", 0.0, partial(self._look, again=True), "atlas"), arguments, done)
 
     def _work(self, kind: str, needs: str, **given: Any) -> None:
-        """Start a job on the itinerary, whose result is kept unless the itinerary has changed in the meantime."""
+        """Start a job on the itinerary, whose result is kept unless the itinerary has changed in the meantime.
+
+        Args:
+            kind: name of the job.
+            needs: name of its input, "text" or "log", see `_needed`.
+            **given: its other arguments.
+
+        Raises:
+            InputError: another job is running, or the input does not exist yet.
+        """
         if (job := self._jobs.get("work")) is not None:
             raise InputError(f"{job.what} is running: wait for it, or cancel it")
         given[needs], draft = self._needed(needs), self._draft
         self._forget(kind)
 
         def done(value: Any) -> None:
+            """Keep the result of the job, or tell the user that a file was written or the viewer was opened."""
             if kind == "rerun":
                 self._set_message("the viewer is open", "good")
             elif kind == "film":
@@ -268,6 +305,7 @@ class PageSession:
                 self._made[kind] = value
 
         def failed(failure: dict[str, Any]) -> None:
+            """Keep the cause for which there is no plan, with wraps that work if they fit the draft's walk."""
             if kind == "plan" and draft.content == self._draft.content:
                 fits = len(failure["wraps"] or ()) == len(draft.wraps)
                 self._made[kind] = {"converged": False, **failure, "wraps": failure["wraps"] if fits else None}
@@ -295,9 +333,18 @@ class PageSession:
         done: Callable[[Any], None] = lambda value: None,
         failed: Callable[[Any], None] = lambda value: None,
     ) -> None:
-        """Start a job, which replaces the one in its slot."""
+        """Start a job, which replaces the one in its slot.
+
+        Args:
+            slot: "look" or "work".
+            job: the job.
+            given: arguments of the job.
+            done: called with the job's result.
+            failed: called with the cause of its failure.
+        """
 
         def on_report(word: str, value: str) -> None:
+            """Handle one report of the job's process, unless another job has replaced it."""
             if self._jobs.get(slot) is not job:
                 return
             if word.startswith("show:"):
@@ -321,26 +368,38 @@ class PageSession:
                 self._set_message(f"the process of the {job.kind} ended ({value}); finished parts are cached", "error")
             self._send_state()
 
-        if (before := self._jobs.get(slot)) is not None:
-            before.task.cancel()
+        if (former := self._jobs.get(slot)) is not None:
+            former.task.cancel()
         self._again = None
         self._jobs[slot] = job
         job.task = asyncio.get_running_loop().create_task(self._workers.run(job.kind, given, on_report))
 
     def _set_message(self, text: str, kind: str = "") -> None:
+        """Set the sentence that the page shows, with its kind: "", "good", "remark" or "error"."""
         self._message = {"text": text, "kind": kind}
 
     def _send_state(self) -> None:
+        """Send the page's state to all its windows."""
         self._broadcast(self.windows, _message("state", self.state()))
 
 
 def _message(kind: str, value: Any) -> str:
+    """Return a JSON message for the page, an object whose only key is the message's kind."""
     # A text with an error may have dates in place of numbers, and half characters, which only their escapes can send.
     return json.dumps({kind: plain(value)}, default=str)
 
 
 def _set(draft: Draft, values: dict[str, Any], table: str = "") -> str:
-    """Return the text with new values of keys that have controls on the page."""
+    """Return the draft's text with new values of keys that have controls on the page.
+
+    Args:
+        draft: the draft.
+        values: new values by key.
+        table: table of the keys, "" for the top level.
+
+    Raises:
+        InputError: a key has no control on the page.
+    """
     if not values.keys() <= _KEYS[table]:
         raise InputError(f"{', '.join(values)}: the page has no control for these keys; edit the TOML")
     return draft.changed(table, values)

@@ -31,7 +31,7 @@ _BEYOND, _BELOW = 0.1, 0.025
 
 
 def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -> list[list[int]]:
-    """Return positions (K, 2n+1) of pivot and joints in 0.1 mm.
+    """Return the positions (K, 2n+1) of pivot and joints in 0.1 mm, which the page draws as arms.
 
     Each row has the pivot's x, then x and y (upward) of each arm's end.
 
@@ -48,7 +48,7 @@ def joints(angles: Array, lengths: Sequence[float], cart: Array | float = 0.0) -
 
 
 def energies_of(model: Model) -> tuple[float, float, float]:
-    """Return the lowest, highest and initial energies of the slider, J.
+    """Return the lowest, the highest and the initial energy (J) that the page's slider offers for a model.
 
     Args:
         model: model of two arms.
@@ -61,15 +61,15 @@ def energies_of(model: Model) -> tuple[float, float, float]:
 
 
 def shown_model(model: Model) -> dict[str, Any]:
-    """Return the data of a model without its atlas."""
-    lowest, highest, first = energies_of(model)
+    """Return the data of a model for the page: its equilibria, its remarks, and the energies of the slider."""
+    lowest, highest, initial = energies_of(model)
     points = equilibria(model.system).values()
     lengths = model.arms.length
     return {
         "name": model.name,
         "title": model.title,
         "remarks": list(model.remarks),
-        "energies": [lowest, highest, first],
+        "energies": [lowest, highest, initial],
         "reach": sum(lengths),
         "points": [
             {
@@ -84,7 +84,7 @@ def shown_model(model: Model) -> dict[str, Any]:
 
 
 def fitting_model(name: str) -> Model:
-    """Return a model of two arms.
+    """Return a model by name if the planner can use it, which means that it has two arms.
 
     Args:
         name: name or path of the model.
@@ -94,15 +94,15 @@ def fitting_model(name: str) -> Model:
     """
     model = load_model(name)
     if (count := model.arms.count) != 2:
-        why = {1: "a single arm has no connections"}.get(
+        reason = {1: "a single arm has no connections"}.get(
             count, f"{count} arms have connections at single energies only: see `dpcontrol guide triple`"
         )
-        raise InputError(f"{name}: {why}; choose a model of two arms")
+        raise InputError(f"{name}: {reason}; choose a model of two arms")
     return model
 
 
 def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
-    """Return the data of an atlas: orbits, sections and connections.
+    """Return an atlas as JSON values, which the page draws: orbits, sections and connections.
 
     Args:
         atlas: atlas of the model.
@@ -124,7 +124,7 @@ def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
             "source": kind.source, "target": kind.target, "section": kind.section, "coordinate": coordinate,
             "period": period, "curves": curves,
         })  # fmt: skip
-    listed = [c for kind in atlas.kinds for c in connections_of(atlas, kind)]
+    all_connections = [c for kind in atlas.kinds for c in connections_of(atlas, kind)]
     return {
         "model": atlas.model,
         "energy": atlas.energy,
@@ -140,12 +140,16 @@ def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
             for orbit in atlas.orbits
         ],
         "kinds": kinds,
-        "connections": [_shown_connection(c, atlas, lengths) for c in listed],
-        "symbols": _symbols(listed),
+        "connections": [_shown_connection(c, atlas, lengths) for c in all_connections],
+        "symbols": _symbols(all_connections),
     }
 
 
 def _shown_connection(c: AtlasConnection, atlas: Atlas, lengths: Sequence[float]) -> dict[str, Any]:
+    """Return the data of a connection `c` for the page: its figures, its place on the section, and its motion.
+
+    `lengths` (n,) are those of the arms, m.
+    """
     times = np.arange(c.times[0], c.times[-1], 1 / RATE)
     angles = np.column_stack([np.interp(times, c.times, column) for column in c.states[:, : len(lengths)].T])
     return {
@@ -161,24 +165,25 @@ def _shown_connection(c: AtlasConnection, atlas: Atlas, lengths: Sequence[float]
 
 
 def _turns(c: AtlasConnection) -> str:
+    """Return the whole turns of the arms along a connection in words, such as "inner +1, outer −2"."""
     turns = (f"{arm} {turn:+d}" for arm, turn in zip(_ARMS, c.winding, strict=True) if turn)
     return ", ".join(turns).replace("-", "−") or "no turn"
 
 
 def _symbols(connections: list[AtlasConnection]) -> dict[str, str]:
-    """Return the connection's name for each short symbol, such as "down-up +"."""
-    found: dict[str, str] = {}
+    """Return the name of the connection that each short symbol selects, such as "down-up +", for the page's buttons."""
+    names: dict[str, str] = {}
     for source, target in dict.fromkeys((c.source, c.target) for c in connections):
-        between: Any = [c for c in connections if (c.source, c.target) == (source, target)]
+        candidates: Any = [c for c in connections if (c.source, c.target) == (source, target)]
         for sense, sign in ((1, " +"), (-1, " -"), (None, "")):
-            if any(sense in (None, c.sense) for c in between) and (source != target or sense):
+            if any(sense in (None, c.sense) for c in candidates) and (source != target or sense):
                 text = f"{source}{sign}" if source == target else f"{source} > {target}{sign}"
-                found[text] = choose(Symbol(text, source, target, sense, None), between).name
-    return found
+                names[text] = choose(Symbol(text, source, target, sense, None), candidates).name
+    return names
 
 
 def shown_plan(plan: Plan) -> dict[str, Any]:
-    """Return a plan's motion, cart path and times of symbols.
+    """Return a plan's motion, the cart's path and the times of symbols as JSON values, which the page plays.
 
     Args:
         plan: converged plan.
@@ -199,7 +204,7 @@ def shown_plan(plan: Plan) -> dict[str, Any]:
 
 
 def figures_of(plan: Plan) -> dict[str, Any]:
-    """Return a converged plan's figures and use of limits.
+    """Return the figures of a converged plan that the page shows, such as its effort and its use of limits.
 
     Args:
         plan: converged plan.
@@ -219,7 +224,7 @@ def figures_of(plan: Plan) -> dict[str, Any]:
 
 
 def shown_run(log: RunLog) -> dict[str, Any]:
-    """Return the motions of a run and its reference, with carts."""
+    """Return the motions of a run and of its reference for the page, with the cart's places."""
     times = np.arange(log.time[0], log.time[-1], 1 / RATE)
     n = len(log.arm_lengths)
     rows = np.clip(np.searchsorted(log.time, times), 0, len(log.time) - 1)

@@ -43,10 +43,11 @@ class Jobs:
     """The jobs by name, whose reports are lines of one stream."""
 
     def __init__(self, handle: int) -> None:
+        """Write reports to the open file descriptor `handle`, the process's original standard output."""
         self._file, self._next = os.fdopen(handle, "w", encoding="utf-8"), 0.0
 
     def write(self, word: str, value: Any) -> None:
-        """Write one line.
+        """Write one report: a line of a word and JSON.
 
         Args:
             word: kind of the report.
@@ -56,7 +57,7 @@ class Jobs:
         self._file.flush()
 
     def progress(self, what: str, done: float) -> None:
-        """Report progress at a limited rate.
+        """Report a job's progress, at most 20 times a second.
 
         Args:
             what: label of the task.
@@ -67,7 +68,10 @@ class Jobs:
             self.write("progress", [what, min(max(float(done), 0.0), 1.0)])
 
     def do_atlas(self, *, model: str, energy: float) -> dict[str, Any]:
-        """Show the atlas at an energy, and return the names of its connections."""
+        """Show the atlas of a model at an energy, J.
+
+        The result has the energy, the model, and the names and short symbols of the connections, which the page offers.
+        """
         atlas = make_atlas(fitting_model(model), energy, progress=self.progress)
         shown = {**shown_atlas(atlas, fitting_model(model)), "model": model}
         self.write("show:atlas", shown)
@@ -75,13 +79,16 @@ class Jobs:
         return {"energy": energy, "model": model, "names": names, "symbols": shown["symbols"]}
 
     def do_plan(self, *, text: str) -> dict[str, Any]:
-        """Plan an itinerary and show its motion."""
+        """Plan the itinerary of a TOML text and show its motion; the result has the plan's figures."""
         plan = self._planned(text).followed()
         self.write("show:plan", shown_plan(plan))
         return {"converged": True, "status": plan.status, **figures_of(plan)}
 
     def do_run(self, *, text: str, seed: int, folder: str) -> dict[str, Any]:
-        """Run an itinerary and show its motion."""
+        """Run the itinerary of a TOML text with a seed and show its motion; the log is written to a folder.
+
+        The result is the run's document with a sentence and the log's path.
+        """
         plan = self._planned(text, 0.1)
         plan = replace(plan, itinerary=plan.itinerary.with_run({}, seed=seed))
         log = Path(folder) / f"run-{seed}.mcap"
@@ -90,7 +97,7 @@ class Jobs:
         return {**run.document(), "sentence": run.status, "log": str(log)}
 
     def do_seeds(self, *, text: str) -> dict[str, Any]:
-        """Count the seeds with which an itinerary completes."""
+        """Run the itinerary of a TOML text with 20 seeds, show the seeds that complete it, and return their number."""
         plan = self._planned(text)
         cases, settings = [Case(plan.itinerary.name, (), plan.itinerary.loop)], CampaignSettings(SEEDS, workers=1)
         campaign = run_campaign(plan, cases, settings=settings, yes=True, progress=self.progress)
@@ -98,21 +105,26 @@ class Jobs:
         return {"completed": campaign.completed.successes, "runs": SEEDS}
 
     def do_page(self, *, log: str) -> None:
-        """Show the page of a run."""
+        """Show the page of the run in a log (its path) as a picture."""
         picture = BytesIO()
         Run(read_log(log)).plot().savefig(picture, format="png")
         self.write("show:page", f"data:image/png;base64,{base64.b64encode(picture.getvalue()).decode()}")
 
     def do_film(self, *, log: str, film: str) -> None:
-        """Write the film of a run."""
+        """Write the film of the run in a log to the path `film`."""
         write_film(run_view(read_log(log)), film, yes=True, progress=self.progress)
 
     def do_rerun(self, *, log: str) -> None:
-        """Open the viewer with a run."""
+        """Open the viewer with the run in a log (its path)."""
         check_viewer("press Page or Film, or save the log and review it on another computer")
         view_in_window(run_view(read_log(log)), Path(log).stem)
 
     def _planned(self, text: str, share: float = 1.0) -> Plan:
+        """Return the plan of a TOML text, from the cache if possible, in the first `share` of the job's progress.
+
+        Raises:
+            InputError: the text has a mistake or no symbols.
+        """
         # The page starts no job for a text with a mistake, but a model's file may have changed since.
         draft = read_draft(text)
         if draft.itinerary is None:
@@ -132,7 +144,7 @@ def failure_of(error: Exception) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run jobs until the end of input."""
+    """Run the jobs that standard input lists, one after the other, until the end of input."""
     jobs = Jobs(os.dup(1))
     # Output of libraries is redirected to standard error.
     os.dup2(2, 1)
@@ -141,15 +153,18 @@ def main() -> None:
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(lines,), daemon=True).start()
     while True:
-        given = json.loads(lines.get())
+        job = json.loads(lines.get())
         try:
-            jobs.write("done", getattr(jobs, f"do_{given.pop('do')}")(**given))
+            jobs.write("done", getattr(jobs, f"do_{job.pop('do')}")(**job))
         except Exception as error:  # noqa: BLE001 - the page shows it, and the process goes on
             jobs.write("failed", failure_of(error))
 
 
 def _listen(lines: "queue.SimpleQueue[str]") -> None:
-    """Queue jobs; exit at the end of input even during a computation."""
+    """Put each line of standard input into the queue, and exit at the end of input even during a computation.
+
+    The end of input means that the server has gone, so that nobody waits for the result.
+    """
     for line in sys.stdin:
         lines.put(line)
     os._exit(0)

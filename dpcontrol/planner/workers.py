@@ -21,6 +21,7 @@ class Workers:
     """Pool of processes, which have loaded the package before their first job."""
 
     def __init__(self) -> None:
+        """Create an empty pool; processes are started when they are needed."""
         self._idle: list[Process] = []
         self._all: list[Process] = []
         self._slots = asyncio.Semaphore(_AT_ONCE)
@@ -43,25 +44,28 @@ class Workers:
                 pass
 
     async def _attempt(self, job: bytes, on_report: OnReport) -> bool:
-        """Give a job to a process, and return False if that was an idle one that ended without an answer."""
+        """Give a job, one line of JSON, to an idle or new process and pass on its reports until the job is finished.
+
+        The result is False if an idle process ended without an answer, so that the job must be given to another one.
+        """
         self._idle = [process for process in self._idle if process.returncode is None]
-        alive = not self._idle
+        is_conclusive = not self._idle
         process: Any = self._idle.pop() if self._idle else await self._started()
-        ended = False
+        is_finished = False
         try:
             with suppress(OSError):
                 process.stdin.write(job)
                 await process.stdin.drain()
-            while not ended and (line := await process.stdout.readline()):
+            while not is_finished and (line := await process.stdout.readline()):
                 word, _, value = line.decode().rstrip("\n").partition(" ")
-                alive, ended = True, word in ("done", "failed")
+                is_conclusive, is_finished = True, word in ("done", "failed")
                 on_report(word, value)
-            if alive and not ended:
+            if is_conclusive and not is_finished:
                 code = await process.wait()
                 on_report("died", f"signal {-code}" if code < 0 else f"exit code {code}")
         finally:
-            self._idle.append(process) if ended else _end(process)
-        return alive
+            self._idle.append(process) if is_finished else _end(process)
+        return is_conclusive
 
     async def close(self) -> None:
         """Kill all processes."""
@@ -70,6 +74,7 @@ class Workers:
             await process.wait()
 
     async def _started(self) -> Process:
+        """Start a process that waits for jobs, and return it."""
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "dpcontrol.planner.worker"),
             stdin=subprocess.PIPE,
@@ -82,5 +87,6 @@ class Workers:
 
 
 def _end(process: Process) -> None:
+    """Kill a process, unless it has ended already."""
     with suppress(ProcessLookupError):
         process.kill()

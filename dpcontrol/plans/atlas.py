@@ -106,7 +106,7 @@ class AtlasSettings(Settings, table="atlas"):
 
 
 def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> str:
-    """Return the hash of an atlas's inputs, as 16 hexadecimal digits.
+    """Return the hash of an atlas's inputs (16 hexadecimal digits), which is its key in the cache.
 
     Args:
         model: model, or a conservative system.
@@ -126,6 +126,7 @@ def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> 
 
 
 def _system(model: Model | System) -> System:
+    """Return the conservative system of a model, or the system itself."""
     return model if isinstance(model, System) else model.system
 
 
@@ -199,8 +200,8 @@ def compute_atlas(
     if not orbits:
         raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
     # Only the first of each saddle's families has sections to cut.
-    first = {orbit.saddle: orbit for orbit in orbits if orbit.family == 0}
-    kinds, connections, cuts = _connected(system, first, settings, seconds, yes=yes, progress=progress)
+    first_orbits = {orbit.saddle: orbit for orbit in orbits if orbit.family == 0}
+    kinds, connections, cuts = _connected(system, first_orbits, settings, seconds, yes=yes, progress=progress)
     with _timed(seconds, "orbits"):
         samples = tuple(_sampled_orbit(orbit) for orbit in orbits)
         progress("rotating orbits", 0.95)
@@ -240,10 +241,19 @@ def _connected(
     yes: bool,
     progress: Progress,
 ) -> tuple[tuple[AtlasKind, ...], tuple[AtlasConnection, ...], tuple[AtlasCut, ...]]:
-    """Return kinds and samples of the connections between orbits, by saddle, and the cuts that the searches made.
+    """Search for the connections between the orbits of one energy, and return all that an atlas stores of them.
 
-    `seconds` receives the durations of compilation, tubes and searches. The tubes are computed during the searches, and
-    their time is subtracted.
+    Args:
+        system: system of the orbits.
+        orbits: orbits of the first family, by saddle.
+        settings: contents of the atlas.
+        seconds: durations by stage, s, to which those of compilation, tubes and searches are added. The tubes are
+            computed during the searches, and their time is subtracted.
+        yes: accept any duration.
+        progress: receiver of progress reports.
+
+    Returns:
+        Outcome of each search, samples of the connections, and samples of the cuts that the searches made.
     """
     pairs = [pair for pair in system.sections if pair[0] in orbits and pair[1] in orbits]
     with _timed(seconds, "jit"):
@@ -251,8 +261,8 @@ def _connected(
     tubes = TubeCuts(system, settings.search)
     hits = [(hit, hit) for hit in range(1, settings.last_hit + 1)] if settings.hits is None else [settings.hits]
     with _timed(seconds, "connections"):
-        within = part_of(progress, 0.2, 0.9)
-        searches = search_pairs(tubes, orbits, pairs, hits, until_found=True, yes=yes, progress=within)
+        portion = part_of(progress, 0.2, 0.9)
+        searches = search_pairs(tubes, orbits, pairs, hits, until_found=True, yes=yes, progress=portion)
         connections = tuple(_sampled_connection(c) for result in searches for c in result.search.connections)
     seconds["tubes"], seconds["connections"] = tubes.seconds, seconds["connections"] - tubes.seconds
     progress("tubes", 0.9)
@@ -264,17 +274,20 @@ def _connected(
 
 @contextmanager
 def _timed(seconds: dict[str, float], key: str) -> Iterator[None]:
-    """Add the seconds that a block takes to one entry."""
-    began = time.perf_counter()
+    """Add the duration of a block (s) to the entry `key` of `seconds`."""
+    begin = time.perf_counter()
     yield
-    seconds[key] += time.perf_counter() - began
+    seconds[key] += time.perf_counter() - begin
 
 
 def _compile(system: System, sections: list[Section]) -> None:
-    """Compile each integrator by one short call."""
+    """Compile each integrator by one short call, so that the durations of later stages do not include compilation.
+
+    Without sections, the integrators of the flow are compiled, otherwise those of the sections' crossings.
+    """
     # Off every section and every symmetry, where an event's derivatives do not vanish.
-    off = 0.01 * np.arange(1, system.dimension + 1)
-    state, instant = next(iter(system.equilibria.values())) + off * system.scale, 1e-6
+    offset = 0.01 * np.arange(1, system.dimension + 1)
+    state, instant = next(iter(system.equilibria.values())) + offset * system.scale, 1e-6
     for section in dict.fromkeys(sections):
         system.propagator.crossing(state, section, longest=instant)
     if not sections:
@@ -284,17 +297,20 @@ def _compile(system: System, sections: list[Section]) -> None:
 
 
 def _sampled_orbit(orbit: LyapunovOrbit) -> AtlasOrbit:
+    """Return the record of a Lyapunov orbit with samples at equally spaced phases."""
     samples = UnstableManifold(orbit).frame(np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES).states
     return AtlasOrbit(**fields_of(OrbitRecord, orbit), status=orbit.status, samples=samples)
 
 
 def _sampled_rotating(orbit: RotatingOrbit) -> AtlasRotatingOrbit:
+    """Return the record of a rotating orbit with samples at equally spaced phases."""
     times = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES * orbit.period
     samples = orbit.system.propagator.sample(orbit.state, times)
     return AtlasRotatingOrbit(**fields_of(RotatingRecord, orbit), status=orbit.status, samples=samples)
 
 
 def _sampled_connection(connection: Connection) -> AtlasConnection:
+    """Return the record of a connection with its flight, extended by a period at each end, at evenly spread samples."""
     orbit, system = connection.orbit, connection.orbit.system
     begin, end = float(orbit.times[0]), float(orbit.times[-1])
     # A flight that never joins the orbit is shown whole.
@@ -302,46 +318,51 @@ def _sampled_connection(connection: Connection) -> AtlasConnection:
         begin = max(begin, -connection.time_out - connection.source.period)
     if np.isfinite(connection.time_in):
         end = min(end, connection.time_in + connection.target.period)
-    dense = np.linspace(begin, end, _DENSE * _FLIGHT_SAMPLES)
-    flown = orbit.sample(dense)
-    rows = np.unique(_evenly(system, dense, flown, _FLIGHT_SAMPLES))
+    dense_times = np.linspace(begin, end, _DENSE * _FLIGHT_SAMPLES)
+    dense_states = orbit.sample(dense_times)
+    rows = np.unique(_evenly(system, dense_times, dense_states, _FLIGHT_SAMPLES))
     return AtlasConnection(
         **fields_of(ConnectionRecord, connection),
         source=connection.source.saddle,
         target=connection.target.saddle,
         point=section_points(system, connection.section, connection.state),
-        times=dense[rows],
-        states=flown[rows],
+        times=dense_times[rows],
+        states=dense_states[rows],
         node_times=orbit.times,
         nodes=orbit.states,
     )
 
 
 def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) -> AtlasCut:
-    """Return the record of a cut with trajectories of each branch."""
+    """Return the record of a tube's cut with trajectories of each branch, for drawing."""
     orbit, instants = manifold.orbit, settings.strand_instants
     system = orbit.system
-    flown = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings)]
+    strands = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings)]
 
     def piece(cut_piece: Piece) -> AtlasPiece:
-        turned = (cut_piece.states - orbit.centre) @ orbit.reverser.T + orbit.centre
-        return AtlasPiece(**fields_of(Piece, cut_piece), stable_points=section_points(system, cut.section, turned))
+        reversed_states = (cut_piece.states - orbit.centre) @ orbit.reverser.T + orbit.centre
+        return AtlasPiece(
+            **fields_of(Piece, cut_piece), stable_points=section_points(system, cut.section, reversed_states)
+        )
 
     return AtlasCut(
         saddle=orbit.saddle,
         pieces=tuple(piece(cut_piece) for cut_piece in cut.pieces),
         open_ends=tuple((end.branch, end.phase_interval, end.status) for end in cut.open_ends),
         **picked(cut, "section", "hit", "trajectories", "resolved", "status"),
-        strands=np.array([states for _, _, states in flown]).reshape(-1, instants, system.dimension),
-        strand_branches=np.array([branch for branch, _, _ in flown], dtype=np.int64),
-        strand_phases=np.array([phase for _, phase, _ in flown], dtype=float),
+        strands=np.array([states for _, _, states in strands]).reshape(-1, instants, system.dimension),
+        strand_branches=np.array([branch for branch, _, _ in strands], dtype=np.int64),
+        strand_phases=np.array([phase for _, phase, _ in strands], dtype=float),
     )
 
 
 def _strands(
     manifold: UnstableManifold, cut: Cut, branch: int, settings: AtlasSettings
 ) -> Iterator[tuple[int, float, Array]]:
-    """Yield trajectories that reach the section as (branch, phase, states), spread evenly over the phases."""
+    """Yield trajectories of a tube that reach the section, spread evenly over the phases, for drawing.
+
+    Each is the branch (±1), the phase of its seed, and its states (M, N) from the seed to the section.
+    """
     pieces = [piece for piece in cut.pieces if piece.branch == branch]
     if not pieces:
         return
@@ -349,21 +370,27 @@ def _strands(
     times = np.concatenate([piece.times for piece in pieces])
     count, system = settings.strands, manifold.orbit.system
     nearest = [int(np.argmin(np.abs((phases - k / count + 0.5) % 1 - 0.5))) for k in range(count)]
-    chosen = list(dict.fromkeys(nearest))
-    for seed, k in zip(manifold.seeds(phases[chosen], branch)[0], chosen, strict=True):
-        dense = np.linspace(0.0, times[k], _DENSE * settings.strand_instants)
-        states = system.propagator.sample(seed, dense)
-        yield branch, float(phases[k] % 1), states[_evenly(system, dense, states, settings.strand_instants)]
+    chosen_seeds = list(dict.fromkeys(nearest))
+    for seed, k in zip(manifold.seeds(phases[chosen_seeds], branch)[0], chosen_seeds, strict=True):
+        dense_times = np.linspace(0.0, times[k], _DENSE * settings.strand_instants)
+        states = system.propagator.sample(seed, dense_times)
+        yield branch, float(phases[k] % 1), states[_evenly(system, dense_times, states, settings.strand_instants)]
 
 
 def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
-    """Return `count` of the indices of samples, spread evenly over half the time and half the scaled path."""
+    """Return `count` indices of samples of a trajectory, spread evenly over half the time and half the scaled path.
+
+    So neither slow stretches near an orbit nor fast swings are short of samples.
+    """
     path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
-    along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
-    return np.rint(np.interp(np.linspace(0.0, along[-1], count), along, np.arange(len(times)))).astype(np.int64)
+    progress_along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
+    return np.rint(
+        np.interp(np.linspace(0.0, progress_along[-1], count), progress_along, np.arange(len(times)))
+    ).astype(np.int64)
 
 
 def _kind(result: PairSearch) -> AtlasKind:
+    """Return the outcome of a search as an atlas stores it, without the connections themselves."""
     search = result.search
     return AtlasKind(
         source=result.pair[0],
@@ -380,7 +407,7 @@ def _kind(result: PairSearch) -> AtlasKind:
 def _status(
     orbits: list[LyapunovOrbit], absent: list[tuple[str, str]], kinds: tuple[AtlasKind, ...], system: System
 ) -> str:
-    """Return one sentence on existing, absent and possibly missed connections."""
+    """Return one sentence on existing, absent and possibly missed connections, which an atlas shows as its status."""
     count = sum(kind.count for kind in kinds)
     parts = [
         f"{counted(len(orbits), 'orbit')}, {counted(count, 'connection')} of "
@@ -388,18 +415,20 @@ def _status(
     ]
     if not system.sections:
         parts.append(f"{system.name} has no sections for connections")
-    later = {(k.source, k.target): k.hits for k in kinds if k.count and k.hits != (1, 1)}
-    empty = {(k.source, k.target) for k in kinds if not k.count and k.hits == (1, 1)}
-    for (source, target), hits in later.items():
-        if (source, target) in empty:
+    later_hits = {(k.source, k.target): k.hits for k in kinds if k.count and k.hits != (1, 1)}
+    empty_first_hits = {(k.source, k.target) for k in kinds if not k.count and k.hits == (1, 1)}
+    for (source, target), hits in later_hits.items():
+        if (source, target) in empty_first_hits:
             parts.append(f"{source} → {target} is empty at first hits and has its first connections at {list(hits)}")
     parts += [f"{k.source} → {k.target} has none at {list(k.hits)}" for k in kinds
-              if not k.count and (k.source, k.target) not in later]  # fmt: skip
+              if not k.count and (k.source, k.target) not in later_hits]  # fmt: skip
     incomplete = [k for k in kinds if not k.complete]
     if incomplete:
         names = ", ".join(f"{k.source} → {k.target} at {list(k.hits)}" for k in incomplete)
-        late = ", as time ran out (partial)" if any(k.partial for k in incomplete) else ""
-        parts.append(f"the searches of {names} are not complete{late}: connections at these hits may be missing")
+        partial_note = ", as time ran out (partial)" if any(k.partial for k in incomplete) else ""
+        parts.append(
+            f"the searches of {names} are not complete{partial_note}: connections at these hits may be missing"
+        )
     elif kinds:
         parts.append("all cuts are resolved, so none of these hits is missing down to the cuts' chord")
     parts += [reason for _, reason in absent]
@@ -407,7 +436,7 @@ def _status(
 
 
 def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
-    """Write an atlas atomically in the layout above.
+    """Write an atlas to one .npz file, in the layout of the module's text, and as a whole or not at all.
 
     Args:
         path: file, or a file in memory.
@@ -439,8 +468,8 @@ def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -
         if isinstance(value, Section):
             entry[name] = sections.index(value)
         elif isinstance(value, tuple) and value and is_dataclass(value[0]):
-            each = f"{prefix}{name.removesuffix('s')}"
-            entry[name] = [_packed(item, f"{each}_{k}_", arrays, sections) for k, item in enumerate(value)]
+            item_prefix = f"{prefix}{name.removesuffix('s')}"
+            entry[name] = [_packed(item, f"{item_prefix}_{k}_", arrays, sections) for k, item in enumerate(value)]
         elif isinstance(value, np.ndarray) and name not in ("state", "point") and not np.iscomplexobj(value):
             arrays[prefix + name] = value
         else:
@@ -449,7 +478,7 @@ def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -
 
 
 def load_atlas(path: Path | IO[bytes]) -> Atlas:
-    """Read what `save_atlas` wrote.
+    """Return the atlas that a file of `save_atlas` holds.
 
     Args:
         path: file, or an open binary file.
@@ -457,8 +486,8 @@ def load_atlas(path: Path | IO[bytes]) -> Atlas:
     Raises:
         InputError: the file does not exist, is damaged or is not an atlas.
     """
-    making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
-    with archive(path, what="an atlas", **making, format=FORMAT, versions=(VERSION,)) as (header, arrays):
+    remedies = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
+    with archive(path, what="an atlas", **remedies, format=FORMAT, versions=(VERSION,)) as (header, arrays):
         # Any error here means that the file is not an atlas.
         for name, array in arrays.items():
             # Coordinates other than angles have an infinite period.
@@ -471,20 +500,28 @@ def load_atlas(path: Path | IO[bytes]) -> Atlas:
 def _unpacked(
     kind: type, entry: dict[str, Any], prefix: str, arrays: Arrays, sections: list[Section]
 ) -> dict[str, Any]:
-    """Return an entry of `_packed` with its arrays and sections."""
+    """Return the values of a record's fields from its entry in the header, the inverse of `_packed`.
+
+    Args:
+        kind: class of the record.
+        entry: its entry in the header.
+        prefix: beginning of the names of its arrays.
+        arrays: all arrays of the file by name.
+        sections: sections to which entries refer by index.
+    """
     values, hints = dict(entry), get_type_hints(kind)
     for attribute in fields(kind):
         name, hint = attribute.name, hints[attribute.name]
-        member = next((part for part in get_args(hint) if is_dataclass(part)), None)
+        item_kind = next((part for part in get_args(hint) if is_dataclass(part)), None)
         if name not in entry:
             # Fields with a default came later, and older files lack them.
             values |= {} if attribute.default is not MISSING else {name: arrays[prefix + name]}
         elif hint is Section:
             values[name] = sections[entry[name]]
-        elif member is not None:
-            each = f"{prefix}{name.removesuffix('s')}"
-            parts = enumerate(entry[name])
-            values[name] = [_unpacked(member, part, f"{each}_{k}_", arrays, sections) for k, part in parts]  # type: ignore[arg-type]
+        elif item_kind is not None:
+            item_prefix = f"{prefix}{name.removesuffix('s')}"
+            items = enumerate(entry[name])
+            values[name] = [_unpacked(item_kind, part, f"{item_prefix}_{k}_", arrays, sections) for k, part in items]  # type: ignore[arg-type]
         elif name in ("state", "point"):
             values[name] = np.array(entry[name], dtype=float)
         elif name == "floquet_multipliers":

@@ -30,7 +30,19 @@ _SHARE = 1e-4
 
 
 def _regulator(arms: ArmChainParameters, states: Array, commands: Array) -> tuple[Array, Array, Array]:
-    """Return gains, closed loop and costs along a motion at steps of `PERIOD`, see `regulator_along`."""
+    """Return the linear-quadratic feedback along a motion, sampled at `PERIOD`.
+
+    Args:
+        arms: parameters of the arms.
+        states: states (K, N) of the motion.
+        commands: accelerations (K,) of the cart, m/s².
+
+    Returns:
+        Gains (K, N), matrices (K, N, N) of the closed loop and costs-to-go, see `regulator_along`.
+
+    Raises:
+        GoalMissed: the motion's end cannot be stabilised.
+    """
     model = shared_model(equations_of(arms, Level.CART))
     return regulator_along(model, states, commands, TvlqrSettings(), parameters=arms.base())
 
@@ -63,15 +75,17 @@ def growth_along(arms: ArmChainParameters, motion: Trajectory | Reference) -> fl
         motion: motion of arms and cart.
     """
     states, commands = _sampled(motion)
-    free = arms.frictionless()
-    model = shared_model(equations_of(free, Level.CART))
-    jacobians, _ = model.linearised(states, commands, parameters=free.base())
+    frictionless_arms = arms.frictionless()
+    model = shared_model(equations_of(frictionless_arms, Level.CART))
+    jacobians, _ = model.linearised(states, commands, parameters=frictionless_arms.base())
     n = 2 * arms.count
     return float(np.log(np.abs(np.linalg.eigvals(jacobians[:, :n, :n])).max()) / PERIOD)
 
 
 def connection_loss(arms: ArmChainParameters, connection: Connection) -> float:
     """Return the largest gain on an arm's angle along a connection, m/s² per rad, infinite if none holds its end.
+
+    This is the loss by which a plan passes over connections that are hard to follow, see `walks.symbols.choose`.
 
     Args:
         arms: parameters of two arms.
@@ -100,20 +114,27 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory | Reference) -> flo
     except GoalMissed:
         return float("inf")
     effects = _effects(arms, shared_model(equations_of(arms, Level.CART)), states, commands)
-    strayed, largest = np.zeros(effects.shape[1:]), 0.0
+    deviations, largest = np.zeros(effects.shape[1:]), 0.0
     for k in range(len(states)):
-        strayed = closed[k] @ strayed + effects[k]
-        largest = max(largest, float(np.square(strayed[: arms.count]).sum()))
+        deviations = closed[k] @ deviations + effects[k]
+        largest = max(largest, float(np.square(deviations[: arms.count]).sum()))
     return float(np.sqrt(largest))
 
 
 def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, commands: Array) -> Array:
-    """Return the changes E (K, N, p) of a step per relative error of each number of each arm."""
+    """Return the change E (K, N, p) of the state after each step per relative error of each of p parameters.
+
+    Args:
+        arms: parameters of the arms.
+        model: sampled model of the arms.
+        states: states (K, N) at the steps.
+        commands: accelerations (K,) of the cart, m/s².
+    """
     variants = [arms]
     for name in ("mass", "centre_of_mass", "length", "inertia"):
         for i, value in enumerate(getattr(arms, name)):
             values = list(getattr(arms, name))
             values[i] = value * (1 + _SHARE)
             variants.append(replace(arms, **{name: tuple(values)}))
-    steps = [model.steps(states, commands, variant.base()) for variant in variants]
-    return np.stack([(step - steps[0]) / _SHARE for step in steps[1:]], axis=2)
+    step_ends = [model.steps(states, commands, variant.base()) for variant in variants]
+    return np.stack([(step - step_ends[0]) / _SHARE for step in step_ends[1:]], axis=2)

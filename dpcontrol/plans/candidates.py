@@ -60,7 +60,7 @@ def coarse(arms: int) -> Method:
 
 @lru_cache(maxsize=2)
 def shared_model(equations: Equations) -> SampledModel:
-    """Return a model that serves all arms of these equations.
+    """Return a sampled model that serves all arms of these equations, so that it is compiled once.
 
     Args:
         equations: equations with a cart.
@@ -92,6 +92,7 @@ class Way:
         """Base parameters (p,) in this direction of time."""
         base, n = self.arms.base(), self.arms.count
         if self.backwards:
+            # In reversed time the arms' friction has the other sign.
             base[n * (n + 1) // 2 + 2 * n : len(base) - bool(self.arms.friction)] *= -1
         return base
 
@@ -102,19 +103,21 @@ class Way:
         return np.array([1.0] * n + [-1.0] * n + [1.0, -1.0]) if self.backwards else np.ones(2 * n + 2)
 
     def target(self) -> Target:
-        """Return the last state in this direction with the cost-to-go of a feedback, 1 where that saturates.
+        """Return the goal of flights in this direction of time, with the cost-to-go of a feedback that keeps it.
+
+        The cost-to-go is scaled to 1 at the states in which this feedback begins to saturate.
 
         Raises:
             GoalMissed: it cannot be stabilised.
         """
-        last = self.mirror * (self.start if self.backwards else self.end)
+        goal = self.mirror * (self.start if self.backwards else self.end)
         model = shared_model(equations_of(self.arms, Level.CART))
-        a, b = (matrices[0] for matrices in model.linearised(last[None], np.zeros(1), parameters=self.parameters))
+        a, b = (matrices[0] for matrices in model.linearised(goal[None], np.zeros(1), parameters=self.parameters))
         diagonal, effort = TvlqrSettings().weights(self.arms.count, PERIOD)
         cost = terminal_cost(a, b, weights=np.diag(diagonal), effort=effort)
         gain = b @ cost @ a / (effort + b @ cost @ b)
-        level = self.limits.acceleration**2 / (gain @ np.linalg.solve(cost, gain))
-        return Target(last[None], cost[None] / level)
+        saturation_cost = self.limits.acceleration**2 / (gain @ np.linalg.solve(cost, gain))
+        return Target(goal[None], cost[None] / saturation_cost)
 
     def flights(self, durations: Array, *, fixed: bool) -> Iterator[Trajectory]:
         """Yield flights that reach the other end, as motions on a coarse mesh.
@@ -124,31 +127,34 @@ class Way:
             fixed: True to keep these durations, with the least effort; otherwise time counts.
         """
         method = coarse(self.arms.count)
-        turns = np.linspace(0.0, 1.0, STEPS, endpoint=False)[:, None, None] * durations[:, None] / NATURAL_TIME
+        natural_times = np.linspace(0.0, 1.0, STEPS, endpoint=False)[:, None, None] * durations[:, None] / NATURAL_TIME
         amplitudes, rates, phases = np.array(_PUSHES).T
-        inputs = (amplitudes * np.sin(2 * np.pi * (rates * turns + phases))).reshape(STEPS, -1)
+        inputs = (amplitudes * np.sin(2 * np.pi * (rates * natural_times + phases))).reshape(STEPS, -1)
         planner = FlightPlanner(self.arms, self.limits).with_parameters(self.parameters)
         planner = planner.with_room(self.room, centring=CART_WEIGHT if fixed else 0.0)
-        begin = self.mirror * (self.end if self.backwards else self.start)
-        flights = planner.timed(begin, self.target(), np.repeat(durations, len(_PUSHES)), inputs, fixed=fixed)
+        first_state = self.mirror * (self.end if self.backwards else self.start)
+        flights = planner.timed(first_state, self.target(), np.repeat(durations, len(_PUSHES)), inputs, fixed=fixed)
         flights = flights.picked(flights.reached)
-        for nodes, pushes, duration in zip(flights.nodes, flights.inputs, flights.durations, strict=True):
+        for nodes, input_steps, duration in zip(flights.nodes, flights.inputs, flights.durations, strict=True):
             mesh = even_mesh(duration, _INTERVAL)
-            times, moments = times_on(mesh, method.support), times_on(mesh, method.points)
+            times, command_times = times_on(mesh, method.support), times_on(mesh, method.points)
             flight_times = (duration - times if self.backwards else times).clip(0.0, duration)
             states = (
-                planner.states(nodes, pushes, duration, flight_times.ravel())[0].reshape(*times.shape, -1) * self.mirror
+                planner.states(nodes, input_steps, duration, flight_times.ravel())[0].reshape(*times.shape, -1)
+                * self.mirror
             )
             # The steps of the inputs approximate a smooth input at their middles.
-            middles = (np.arange(STEPS) + 0.5) * duration / STEPS
-            commands = np.interp(moments, middles, pushes[::-1] if self.backwards else pushes)[..., None]
+            step_middles = (np.arange(STEPS) + 0.5) * duration / STEPS
+            commands = np.interp(command_times, step_middles, input_steps[::-1] if self.backwards else input_steps)[
+                ..., None
+            ]
             n = self.arms.count
             states[..., :n] -= whole_turns(states[0, 0, :n] - self.start[:n])
             yield Trajectory(method, mesh, states, commands)
 
 
 def _leads_to(flight: Trajectory, end: Array) -> bool:
-    """Return True if a flight leads to a state (N,), whole turns included."""
+    """Return True if a flight's last angles are near those of a state (N,), whole turns included."""
     n = len(end) // 2 - 1
     return bool(np.abs(flight.states[-1, -1, :n] - end[:n]).max() < _NEAR)
 
@@ -156,13 +162,16 @@ def _leads_to(flight: Trajectory, end: Array) -> bool:
 def flights_between(
     ways: Sequence[Way], ends: Sequence[Array], durations: Array, *, fixed: bool
 ) -> list[tuple[Trajectory, Array]]:
-    """Return the shortest flights, or those of the least effort in given times, and the ends that they lead to.
+    """Return first motions of a transfer from flights: the shortest ones, or in given times those of the least effort.
 
     Args:
         ways: both directions of time.
         ends: possible states (N,) at the end.
         durations: first durations (D,), s.
         fixed: True to keep these durations.
+
+    Returns:
+        At most four flights, each with the end (N,) that it leads to.
     """
     flights: list[Trajectory] = []
     for way in ways:
@@ -174,12 +183,15 @@ def flights_between(
 
 
 def smooth_motions(start: Array, ends: Sequence[Array], durations: Array) -> list[tuple[Trajectory, Array]]:
-    """Return motions that turn the arms smoothly, for all durations and ends.
+    """Return first motions of a transfer that turn the arms smoothly, for all durations and ends.
 
     Args:
         start: state (N,) at the start.
         ends: possible states (N,) at the end.
         durations: durations, s.
+
+    Returns:
+        Motions, each with the end (N,) that it leads to.
     """
     method, motions = coarse(len(start) // 2 - 1), list[tuple[Trajectory, Array]]()
     for duration, end in product(durations, ends):

@@ -96,8 +96,8 @@ def figures_of(itinerary: Itinerary, reference: Reference) -> tuple[Caution, ...
         *_gains(itinerary, reference),
         *_late(itinerary, reference),
     )
-    beyond = [caution for caution in figures if caution.figure > caution.limit]
-    return tuple(sorted(beyond, key=lambda caution: -caution.figure / caution.limit))
+    beyond_limits = [caution for caution in figures if caution.figure > caution.limit]
+    return tuple(sorted(beyond_limits, key=lambda caution: -caution.figure / caution.limit))
 
 
 def cautions_of(itinerary: Itinerary, reference: Reference) -> tuple[Caution, ...]:
@@ -107,18 +107,21 @@ def cautions_of(itinerary: Itinerary, reference: Reference) -> tuple[Caution, ..
         itinerary: itinerary with the settings of its runs.
         reference: its converged reference.
     """
-    if not (beyond := figures_of(itinerary, reference)):
+    if not (figures := figures_of(itinerary, reference)):
         return ()
     try:
         failed = _failed(itinerary, reference)
     except (GoalMissed, InputError):
         # Nothing flies this plan with these settings; a run names the reason.
-        return beyond
-    return tuple(replace(caution, failed=failed) for caution in beyond) if failed >= FAILING else ()
+        return figures
+    return tuple(replace(caution, failed=failed) for caution in figures) if failed >= FAILING else ()
 
 
 def _failed(itinerary: Itinerary, reference: Reference) -> int:
-    """Return the number of rehearsed runs that do not complete the itinerary."""
+    """Return the number of rehearsed runs, of 16, that do not complete the itinerary.
+
+    The plants of these runs have at least an error of 5 %, and their seeds differ from those of campaigns.
+    """
     loop = replace(itinerary.loop, mismatch=max(itinerary.loop.mismatch, _MISMATCH))
     assembly = Assembly(
         reference, itinerary.model.arms, loop, uncertainty=itinerary.uncertainty, stays=stays(reference)
@@ -132,8 +135,8 @@ def _failed(itinerary: Itinerary, reference: Reference) -> int:
         for seed, run in zip(seeds, runs, strict=True)
     )
     limits = loop.limits(reference.limits)
-    bases = (Flown.of(run, rate_hz=loop.rate, limits=limits) for run in flights)
-    return sum(not verdict_on(flown, reference).completed for flown in bases)
+    flown_runs = (Flown.of(run, rate_hz=loop.rate, limits=limits) for run in flights)
+    return sum(not verdict_on(flown, reference).completed for flown in flown_runs)
 
 
 def hidden_angles(itinerary: Itinerary) -> dict[str, float]:
@@ -148,50 +151,64 @@ def hidden_angles(itinerary: Itinerary) -> dict[str, float]:
     n, mechanics = arms.count, loop.mechanics
     counts = loop.counts(n)
     plants = [arms, *([loop.plant] if isinstance(loop.plant, ArmChainParameters) else [])]
-    dry = max(float(np.max(np.divide(plant.coulomb or 0.0, plant.torques))) for plant in plants)
+    friction_angle = max(float(np.max(np.divide(plant.coulomb or 0.0, plant.torques))) for plant in plants)
     return {
         "counts": 2 * np.pi / min(counts) if counts else 0.0,
         "noise": loop.sensors.noise,
         "play": max(compress(mechanics.of_each("play", n), loop.of_each("encoders", n))),
-        "friction": dry + float(np.max(np.divide(mechanics.of_each("stiction", n), arms.torques))),
+        "friction": friction_angle + float(np.max(np.divide(mechanics.of_each("stiction", n), arms.torques))),
     }
 
 
 def _authority(arms: ArmChainParameters, reference: Reference) -> Iterator[Caution]:
-    """Yield the need of each unstable stop, with the smallest weight at the outer tip that helps."""
+    """Yield the feedback that each unstable stop needs, with the smallest mass at the outer tip that helps."""
     for name, place in {stop.saddle: np.array(stop.angles) for stop in reference.content.stops}.items():
         if (need := arms.need(place)) is None:
             continue
-        tips = [(arms.with_tip(mass).need(place) or 0.0, mass) for mass in (_TIPS * arms.mass[-1]).tolist()]
-        helps = (tip for tip in tips if tip[0] < LIMITS[CautionCause.AUTHORITY])
-        changed, mass = next(helps, min(*tips, (need, 0.0)))
-        yield Caution(CautionCause.AUTHORITY, need, name, "tip_mass" if mass else "", mass, changed)
+        needs_with_tip = [(arms.with_tip(mass).need(place) or 0.0, mass) for mass in (_TIPS * arms.mass[-1]).tolist()]
+        sufficient_tips = (candidate for candidate in needs_with_tip if candidate[0] < LIMITS[CautionCause.AUTHORITY])
+        need_after, mass = next(sufficient_tips, min(*needs_with_tip, (need, 0.0)))
+        yield Caution(CautionCause.AUTHORITY, need, name, "tip_mass" if mass else "", mass, need_after)
 
 
 def _gains(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
-    """Yield the cautions on gains that amplify hidden angles and errors at the start."""
+    """Yield the cautions on gains that amplify hidden angles and errors at the start.
+
+    The figures are shares of the drive's acceleration: the largest gain times the angles that the rig hides, and the
+    first gain times the error of the initial angles.
+    """
     loop, arms = itinerary.loop, itinerary.model.arms
     try:
         shares = peak_gains(arms, reference) / itinerary.limits.acceleration
     except GoalMissed:
         # The end cannot be held: its need is infinite, which is a caution already.
         return
-    hidden, peak = hidden_angles(itinerary), float(shares.max())
-    largest = max(hidden, key=lambda name: hidden[name])
-    finer = _FINER * min(loop.counts(arms.count), default=0)
-    value, less = (finer, 1 - 1 / _FINER) if largest == "counts" else (0, 1.0)
-    figure = peak * sum(hidden.values())
-    yield Caution(CautionCause.GAINS, figure, largest, largest, value, figure - less * peak * hidden[largest])
+    hidden_angle, peak_share = hidden_angles(itinerary), float(shares.max())
+    largest = max(hidden_angle, key=lambda name: hidden_angle[name])
+    finer_counts = _FINER * min(loop.counts(arms.count), default=0)
+    value, removed_share = (finer_counts, 1 - 1 / _FINER) if largest == "counts" else (0, 1.0)
+    figure = peak_share * sum(hidden_angle.values())
+    yield Caution(
+        CautionCause.GAINS, figure, largest, largest, value, figure - removed_share * peak_share * hidden_angle[largest]
+    )
     figure, limit = float(shares[0]) * loop.initial_error, LIMITS[CautionCause.START]
     yield Caution(CautionCause.START, figure, "", "initial_error", limit / float(shares[0]), limit)
 
 
 def _late(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
-    """Yield the growth of errors until a command acts, and its part that the controller does not know."""
+    """Yield the cautions on delays: the growth of errors until a command acts, and its part unknown to the controller.
+
+    The figures are powers of e. The change of the first is a known lag, and that of the second halves the largest
+    delay.
+    """
     loop, rate = itinerary.loop, growth_along(itinerary.model.arms, reference)
     lag, belt = loop.drive.lag, loop.mechanics.belt
-    parts = {"delay": (loop.drive.delay + 0.5) / loop.rate, "lag": lag, "belt": 1 / (2 * np.pi * belt) if belt else 0.0}
+    delays = {
+        "delay": (loop.drive.delay + 0.5) / loop.rate,
+        "lag": lag,
+        "belt": 1 / (2 * np.pi * belt) if belt else 0.0,
+    }
     yield Caution(CautionCause.LAG, rate * abs(lag - loop.drive_lag), "", "drive_lag", lag)
-    largest, late = max(parts, key=lambda name: parts[name]), rate * sum(parts.values())
-    value = parts[largest] / 2
-    yield Caution(CautionCause.LATE, late, largest, largest, value, late - rate * value)
+    largest, growth = max(delays, key=lambda name: delays[name]), rate * sum(delays.values())
+    value = delays[largest] / 2
+    yield Caution(CautionCause.LATE, growth, largest, largest, value, growth - rate * value)

@@ -45,7 +45,7 @@ _PARTS: Mapping[str, type] = {"hold": HoldPart, "orbit": OrbitPart, "walk": Walk
 
 
 def _kind_of_part(values: Mapping[str, Any]) -> str:
-    """Return the key that only this kind of part has.
+    """Return the kind of a part of an itinerary, as the key that only this kind has: "hold", "orbit" or "walk".
 
     Raises:
         InputError: the part has two of these keys.
@@ -57,7 +57,7 @@ def _kind_of_part(values: Mapping[str, Any]) -> str:
 
 
 def _part(part: Part, system: System) -> Part:
-    """Return a part whose names and energy are those of the model.
+    """Return a part after a check of its names and its energy against the model's system; a walk is expanded.
 
     Raises:
         InputError: an impossible walk, wraps, energy or hold.
@@ -68,20 +68,20 @@ def _part(part: Part, system: System) -> Part:
         return part
     if isinstance(part, OrbitPart):
         check_choice("orbit", saddles, part.orbit)
-        visited = [part.orbit]
+        visited_saddles = [part.orbit]
     else:
         # A walk that is impossible at any energy is reported first.
         part = _expanded(part, saddles)
-        visited = [name for symbol in parse_walk(part.walk, saddles) for name in (symbol.source, symbol.target)]
-    for saddle in visited:
+        visited_saddles = [name for symbol in parse_walk(part.walk, saddles) for name in (symbol.source, symbol.target)]
+    for saddle in visited_saddles:
         if part.energy <= points[saddle].energy:
-            only = f"{saddle} has Lyapunov orbits only above its own {points[saddle].energy:.9g} J"
-            raise InputError(f"energy = {part.energy!r} J: {only}; choose a higher energy", key="energy")
+            reason = f"{saddle} has Lyapunov orbits only above its own {points[saddle].energy:.9g} J"
+            raise InputError(f"energy = {part.energy!r} J: {reason}; choose a higher energy", key="energy")
     return part
 
 
 def _expanded(part: WalkPart, saddles: Sequence[str]) -> WalkPart:
-    """Return a walk with its powers and repetitions written out.
+    """Return a walk with its composite edges and repetitions written out as the elementary symbols to plan.
 
     Raises:
         InputError: a walk or wraps that are impossible at any energy.
@@ -93,19 +93,22 @@ def _expanded(part: WalkPart, saddles: Sequence[str]) -> WalkPart:
         raise InputError(f"walk: {error}", key="walk") from error
     if repeat > 1 and symbols[0].source != symbols[-1].target:
         ends = f"the walk starts at {symbols[0].source} and ends at {symbols[-1].target}"
-        only = f"{ends}; only a walk that ends where it starts can be repeated"
-        raise InputError(f"repeat = {repeat}: {only}", key="repeat")
+        reason = f"{ends}; only a walk that ends where it starts can be repeated"
+        raise InputError(f"repeat = {repeat}: {reason}", key="repeat")
     stops = len(walk) - (repeat == 1)
     if len(wraps) != stops:
-        between = "between its symbols" + (", and from its last to its first" if repeat > 1 else "")
-        many = f"must be whole numbers, one for each of {stops} stops {between}"
-        raise InputError(f"wraps = {shortened(list(wraps))}: {many}", key="wraps")
+        places = "between its symbols" + (", and from its last to its first" if repeat > 1 else "")
+        requirement = f"must be whole numbers, one for each of {stops} stops {places}"
+        raise InputError(f"wraps = {shortened(list(wraps))}: {requirement}", key="wraps")
     walk, wraps = expanded(symbols, wraps)
     return replace(part, walk=walk * repeat, wraps=(wraps * repeat)[: len(walk) * repeat - 1])
 
 
 def _law_table(kind: Any) -> Table:
-    """Return the table of a law, which makes its settings and the name of the law that keeps the stops."""
+    """Return the table [controller] of a law, which makes its settings and the name of the law that keeps the stops.
+
+    `kind` is the class of the law's settings.
+    """
 
     def settings_and_keeper(values: dict[str, Any], _: object) -> tuple[Any, str]:
         keep = values.pop("keep", "none")
@@ -115,7 +118,10 @@ def _law_table(kind: Any) -> Table:
 
 
 def _part_table(kind: Any) -> Table:
-    """Return the table of a kind of part, which is checked if the model is known."""
+    """Return the table of a kind of part, whose values are checked against the model's system if that is known.
+
+    `kind` is the class of the part.
+    """
 
     def part_of_values(values: dict[str, Any], system: System | None) -> Part:
         return kind(**values) if system is None else _part(kind(**values), system)
@@ -145,23 +151,28 @@ FILE = Table(
 
 
 def _completed(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a file's contents with the default law, and the keys of an only part under ""."""
-    controller, out = document.get("controller", {}), dict(document)
+    """Return a file's contents with the default law, and with the keys of an only part under "".
+
+    `start = "anywhere"` becomes a key of [run] and a start on the orbit or the equilibrium.
+    """
+    controller, completed = document.get("controller", {}), dict(document)
     if document.get("start") == "anywhere" and isinstance(run := document.get("run", {}), dict):
-        out["run"] = {"start": "anywhere", **run}
-        out["start"] = "hold" if "hold" in document else "orbit"
+        completed["run"] = {"start": "anywhere", **run}
+        completed["start"] = "hold" if "hold" in document else "orbit"
     if isinstance(controller, dict):
         # Dry friction moves an arm that `adaptive` holds by twice as much.
-        keeper = "adaptive" if controller.get("keep", "none") == "none" else "tvlqr"
+        law_of_walk = "adaptive" if controller.get("keep", "none") == "none" else "tvlqr"
         stays = document.get("finish") != "rest" and not document.get("cart")
-        held = out.get("start") == "hold" and "parts" not in document and stays
-        out["controller"] = {"kind": "lqr" if held else keeper, **controller}
+        is_held_equilibrium = completed.get("start") == "hold" and "parts" not in document and stays
+        completed["controller"] = {"kind": "lqr" if is_held_equilibrium else law_of_walk, **controller}
     keys = [key for kind in _PARTS.values() for key in leaves_of(kind)]
-    meant = {key: key if key in keys else nearest(key, [*FILE.keys, *keys]) for key in document if key not in FILE.keys}
-    if "parts" not in (*document, *meant.values()):
+    setting_names = {
+        key: key if key in keys else nearest(key, [*FILE.keys, *keys]) for key in document if key not in FILE.keys
+    }
+    if "parts" not in (*document, *setting_names.values()):
         # The part reports a misspelling of its keys.
-        out[""] = {key: out.pop(key) for key, setting in meant.items() if setting in keys}
-    return out
+        completed[""] = {key: completed.pop(key) for key, setting in setting_names.items() if setting in keys}
+    return completed
 
 
 def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
@@ -198,20 +209,28 @@ def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
 
 
 def _fitting(filters: FilterSettings, law: Any, before: LoopSettings) -> FilterSettings:
-    """Return a filter's settings with the defaults for a law; what differs from those of the law before it stays."""
+    """Return a filter's settings with the defaults that suit a law.
+
+    Values that differ from the defaults for the former law, that of the run's settings `before`, are kept.
+    """
     kind, defaults = ESTIMATORS[filters.kind], filter_defaults(filters.kind, law)
     # A filter of another kind than before has the defaults of its kind.
-    same = filters.kind == before.estimator.kind
-    former = kind(**filter_defaults(filters.kind, before.controller, before.keep) if same else {})
-    changed = {name: value for name, value in vars(filters).items() if value != getattr(former, name)}
+    is_same_kind = filters.kind == before.estimator.kind
+    former_defaults = kind(**filter_defaults(filters.kind, before.controller, before.keep) if is_same_kind else {})
+    explicit_values = {name: value for name, value in vars(filters).items() if value != getattr(former_defaults, name)}
     if isinstance(law, AdaptiveSettings) and Augment.PARAMETERS not in filters.augments:
         # This law needs the parameters' errors.
-        changed["augment"] = defaults["augment"]
-    return kind(**{**defaults, **changed})
+        explicit_values["augment"] = defaults["augment"]
+    return kind(**{**defaults, **explicit_values})
 
 
 def _of_kind(role: str, value: Any, now: Any) -> Any:
-    """Return the settings of a controller or an estimator that is named by its kind or given as an object.
+    """Return the settings of a controller or an estimator that a user names by kind or gives as an object.
+
+    Args:
+        role: "controller" or "estimator".
+        value: kind, file of a user's law or estimator, or the object itself.
+        now: present settings, which are kept if they are of this kind.
 
     Raises:
         InputError: an unknown kind.
@@ -227,7 +246,9 @@ def _of_kind(role: str, value: Any, now: Any) -> Any:
 
 
 def setting_of(loop: LoopSettings, name: str) -> Any:
-    """Return the value of a run's setting; of controller and estimator the kind, and None for what they lack.
+    """Return the value that a setting has in a run, such as one that a preflight varies.
+
+    Of controller and estimator it is the kind. A setting that the run's law or filter lacks is None.
 
     Args:
         loop: settings of the run.
@@ -312,7 +333,7 @@ class Itinerary:
         return self.model.identified_uncertainty if self.loop.model_uncertainty else None
 
     def with_run(self, settings: Mapping[str, Any], *, seed: int | None = None) -> "Itinerary":
-        """Return the itinerary with some run settings replaced.
+        """Return the itinerary with some settings of its run replaced, as the options of a run do.
 
         Args:
             settings: new values by path.
@@ -335,7 +356,11 @@ class Itinerary:
         return itinerary
 
     def _lasting(self, seconds: float) -> "Itinerary":
-        """Return the itinerary of one stay with another duration; its text gives the same one."""
+        """Return an itinerary of a single stay with another duration (s), also in the text that a plan stores.
+
+        Raises:
+            InputError: the itinerary has walks or several parts, or is that of an existing plan.
+        """
         stay = self.parts[0]
         if len(self.parts) > 1 or isinstance(stay, WalkPart) or self.stored is not None:
             raise InputError(f"seconds = {seconds:g}: {self.path} is not the file of one stay; change its [[parts]]")
@@ -343,7 +368,7 @@ class Itinerary:
         return replace(self, text=text, parts=(replace(stay, seconds=seconds),))
 
     def check_parts(self, planned: "Itinerary") -> None:
-        """Reject parts that differ from those of a plan.
+        """Reject an itinerary whose stay has another duration than in a plan, which would need a new plan.
 
         Args:
             planned: itinerary of the plan.
@@ -355,7 +380,9 @@ class Itinerary:
             raise InputError("seconds: the plan has another duration; change seconds in the file of the itinerary")
 
     def _plant(self, plant: Any) -> Any:
-        """Return the arms of a model's file, or the settings of a user's plant."""
+        """Return the arms of a model's file, or the settings of a user's plant, which are simulated instead of the
+        model.
+        """
         if isinstance(plant, str) and not names_file(plant):
             return own_plant(plant, self.model.arms, where="plant").arms
         user_object = own_object("plant", plant)
@@ -364,7 +391,7 @@ class Itinerary:
         return OwnPlant(user_object.name, user_object)
 
     def remark_on_rig(self, options: Collection[str] = ()) -> None:
-        """Emit remarks on numbers of the rig in doubtful units.
+        """Emit remarks on numbers of the rig that seem to be in another unit than the expected one.
 
         Args:
             options: tables and keys of settings that override those of the file, as in "[run] lag".
@@ -373,16 +400,16 @@ class Itinerary:
             InputError: an impossible number.
         """
         try:
-            odd = rig_oddities(self.limits, self.loop, arms=self.model.arms.count, zeros=self.zeros)
-            for table, key, sentence in odd:
-                begin = "setting" if f"{table} {key}" in options else f"{self.path}: {table}"
-                remark(f"{begin} {sentence}")
+            oddities = rig_oddities(self.limits, self.loop, arms=self.model.arms.count, zeros=self.zeros)
+            for table, key, sentence in oddities:
+                place = "setting" if f"{table} {key}" in options else f"{self.path}: {table}"
+                remark(f"{place} {sentence}")
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from error
 
 
 def load_itinerary(name: str) -> Itinerary:
-    """Load an itinerary, and its model, by name or path.
+    """Return an itinerary and its model from a file, by name or path.
 
     A relative model path is taken from the itinerary's folder.
 
@@ -417,7 +444,7 @@ def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
 
 
 def planned_itinerary(content: PlanContent) -> Itinerary:
-    """Return the itinerary from whose texts a plan was made.
+    """Return the itinerary from which a plan was made, read from the texts that the plan stores.
 
     Args:
         content: content of the plan.
@@ -463,7 +490,7 @@ def itinerary_of(
 
 
 def itinerary_from(text: str, name: str, model: Model, *, plant: str = "") -> Itinerary:
-    """Return the itinerary of a file's text, under a name.
+    """Return the itinerary that a text in TOML describes, as if it were a file of this name.
 
     Args:
         text: text of a TOML file.
@@ -481,30 +508,37 @@ def itinerary_from(text: str, name: str, model: Model, *, plant: str = "") -> It
 def _itinerary(
     document: Mapping[str, Any], text: str, path: Path, model: Model | None = None, plant: Model | None = None
 ) -> Itinerary:
-    """Return the itinerary of a file's contents and text.
+    """Return the itinerary that a file's parsed contents describe.
+
+    Args:
+        document: contents of the file.
+        text: text of the file.
+        path: path of the file, for messages and for files beside it.
+        model: model of the arms; None to read the one that the file names.
+        plant: model of the plant; None to read the one that the file names, if any.
 
     Raises:
         InputError: names every mistake.
     """
-    top, mistakes, content = Place(str(path)), Mistakes(), dict[str, Any]()
+    file_place, mistakes, content = Place(str(path)), Mistakes(), dict[str, Any]()
     document = _completed(document)
     with mistakes:
         name = str(document.get("model", "lab"))
-        model = model or _named_model(name, where=f"{top} model", at=("", "model"), beside=path.parent)
+        model = model or _named_model(name, where=f"{file_place} model", at=("", "model"), beside=path.parent)
         _ = model.arms  # an itinerary needs arms on a cart
     with mistakes:
-        content = FILE.read(document, top, None if model is None else model.system)
+        content = FILE.read(document, file_place, None if model is None else model.system)
     mistakes.report()
     assert model is not None
-    run, place, (law, keep) = content.get("run", {}), replace(top, table="run"), content["controller"]
-    if plant is None and (named := run.get("plant")):
-        plant = own_plant(named, model.arms, where=f"{place} plant", beside=path.parent)
+    run, place, (law, keep) = content.get("run", {}), replace(file_place, table="run"), content["controller"]
+    if plant is None and (plant_name := run.get("plant")):
+        plant = own_plant(plant_name, model.arms, where=f"{place} plant", beside=path.parent)
     if (zeros := run.get("zeros", ())) and len(zeros) != model.arms.count:
         raise place.refusal(f"zeros has {len(zeros)} values; give one for each of {model.arms.count} arms", "zeros")
     estimator, settings = content.get("estimator", {}), {RUN[key][0]: value for key, value in run.items() if key in RUN}
     settings |= {"plant": None if plant is None else plant.arms, "disturbances.explicit": run.get("blows", ())}
     supervisor = content.get("supervisor", SupervisorSettings())
-    with replace(top, table="estimator"):
+    with replace(file_place, table="estimator"):
         kind = estimator.get("kind", "ekf")
         filters = ESTIMATORS[kind](**{**filter_defaults(kind, law, keep), **estimator})
     with place:
@@ -526,32 +560,40 @@ def _check_together(itinerary: Itinerary) -> None:
     Raises:
         InputError: names the first setting that does not fit.
     """
-    top, (start, finish) = Place(str(itinerary.path)), (itinerary.start, itinerary.finish)
-    first, several = itinerary.parts[0], len(itinerary.parts) > 1
-    orbits = not several and (start, finish) == ("orbit", "orbit")
+    file_place, (start, finish) = Place(str(itinerary.path)), (itinerary.start, itinerary.finish)
+    first, has_parts = itinerary.parts[0], len(itinerary.parts) > 1
+    orbits = not has_parts and (start, finish) == ("orbit", "orbit")
     if any(isinstance(part, OrbitPart) for part in itinerary.parts) and not orbits:
-        stays = "an itinerary that keeps an orbit has no [[parts]], start and finish; remove these"
-        raise top.refusal(f"orbit: {stays}", "orbit")
+        reason = "an itinerary that keeps an orbit has no [[parts]], start and finish; remove these"
+        raise file_place.refusal(f"orbit: {reason}", "orbit")
     if start == "orbit" and isinstance(first, HoldPart):
-        raise top.error("start", start, 'the first part is a hold without an orbit; set start = "hold" or "rest"')
+        raise file_place.error(
+            "start", start, 'the first part is a hold without an orbit; set start = "hold" or "rest"'
+        )
     for number, part in enumerate(itinerary.parts, start=1):
-        farthest = itinerary.limits.position
-        if isinstance(part, HoldPart) and abs(part.cart) >= farthest:
-            place = replace(top, table="parts", number=number) if several else top
-            raise place.error("cart", part.cart, f"must be within ±{farthest:g} m; give limits a longer position")
+        limit = itinerary.limits.position
+        if isinstance(part, HoldPart) and abs(part.cart) >= limit:
+            place = replace(file_place, table="parts", number=number) if has_parts else file_place
+            raise place.error("cart", part.cart, f"must be within ±{limit:g} m; give limits a longer position")
     keep, conservative = itinerary.loop.keep, itinerary.reference.level == "conservative"
     if conservative and (keep != "none" or not orbits):
-        raise replace(top, table="reference").error(
+        raise replace(file_place, table="reference").error(
             "level", "conservative", 'rest, holds, kept stops and changes of energy need the cart; use "cart"'
         )
     if keep != "none" and not (orbits and isinstance(first, WalkPart)):
-        raise replace(top, table="controller").error(
+        raise replace(file_place, table="controller").error(
             "keep", keep, "keeps the stops of one walk from orbit to orbit; remove it, or start, finish and [[parts]]"
         )
 
 
 def _named_model(name: str, *, where: str, at: tuple[str, str], beside: Path | None) -> Model:
-    """Return a model by name or path, first looked for in the folder `beside`; an error has the table and key `at`."""
+    """Return a model by name or path; a path is first looked for in the folder `beside`.
+
+    An error begins with `where`, the place of the name, and has the table and key `at`.
+
+    Raises:
+        InputErrors: no such file, or mistakes in it.
+    """
     file_beside = None if beside is None else beside / name
     try:
         is_beside = file_beside is not None and file_beside.suffix.lower() in PATHS and file_beside.is_file()
@@ -564,7 +606,7 @@ def _named_model(name: str, *, where: str, at: tuple[str, str], beside: Path | N
 
 
 def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path | None = None) -> Model:
-    """Return the model of a plant's own arms.
+    """Return the model of the arms that a simulated plant has instead of the itinerary's.
 
     Args:
         name: name or path of the file.

@@ -95,7 +95,7 @@ PLANT = Leaf("plant", Annotated[str, _FILE], "")
 
 
 def _of_run() -> Iterator[tuple[str, Leaf]]:
-    """Yield the path and the setting of each key of [run]."""
+    """Yield the path in a run's settings and the declaration of each key of [run], the bench's parts included."""
     for name, leaf in leaves_of(LoopSettings).items():
         if name not in ("seed", "keep"):
             yield name, leaf

@@ -91,16 +91,18 @@ class Model:
 
         A parameter that was changed after reading is the shortest decimal that reads as its double.
         """
-        table, out = tomllib.loads(self.text, parse_float=Decimal), {}
-        written = {**table.get("arms", {}), **table.get("friction", {}), **table.get("primaries", {})}
-        written["gravity"] = table.get("gravity", {}).get("acceleration")
+        table, decimals = tomllib.loads(self.text, parse_float=Decimal), {}
+        file_values = {**table.get("arms", {}), **table.get("friction", {}), **table.get("primaries", {})}
+        file_values["gravity"] = table.get("gravity", {}).get("acceleration")
         for field in fields(self.parameters):
             numbers = [float(v) for v in np.atleast_1d(getattr(self.parameters, field.name))]
-            typed = written.get(field.name, [])
-            exact = [Fraction(v) for v in (typed if isinstance(typed, list) else [typed]) if v is not None]
-            same = [float(v) for v in exact] == numbers
-            out[field.name] = tuple(exact if same else [Fraction(repr(v)) for v in numbers])
-        return out
+            file_value = file_values.get(field.name, [])
+            file_decimals = [
+                Fraction(v) for v in (file_value if isinstance(file_value, list) else [file_value]) if v is not None
+            ]
+            unchanged = [float(v) for v in file_decimals] == numbers
+            decimals[field.name] = tuple(file_decimals if unchanged else [Fraction(repr(v)) for v in numbers])
+        return decimals
 
     @property
     def exact_parameters(self) -> Sequence[Fraction]:
@@ -176,7 +178,7 @@ class ModelSystem(System):
 
 
 def model_of(system: System) -> Model:
-    """Return the model of a conservative system.
+    """Return the model from which a conservative system was made.
 
     Args:
         system: system that was made from a model.
@@ -211,6 +213,7 @@ def parameter_course(
 
     @cache
     def at(value: float) -> tuple[System, float]:
+        """Return the system with a value of the parameter, and the energy at which connections are followed, J."""
         system = replace(model, parameters=model.parameters.with_value(name, value)).system
         return system, energy + max((equilibrium(system, saddle).energy for saddle in saddles), default=0.0)
 
@@ -276,15 +279,16 @@ class ModelDescription(Documented):
         if not isinstance(arms := self.model.parameters, ArmChainParameters):
             return []
         n, equilibrium = arms.count, self.equilibria[name]
-        pace = np.abs(equilibrium.eigenvalues).max()
-        units = np.repeat([1.0, pace], n)
-        flow = self.model.system.numeric.jacobian(equilibrium.state) * units / units[:, None] / pace
-        pencils = flow - (equilibrium.eigenvalues / pace)[:, None, None] * np.eye(2 * n)
+        fastest_rate = np.abs(equilibrium.eigenvalues).max()
+        units = np.repeat([1.0, fastest_rate], n)
+        scaled_jacobian = self.model.system.numeric.jacobian(equilibrium.state) * units / units[:, None] / fastest_rate
+        pencils = scaled_jacobian - (equilibrium.eigenvalues / fastest_rate)[:, None, None] * np.eye(2 * n)
 
         def visible(arm: int) -> bool:
-            others = np.delete(np.eye(n, 2 * n), arm, axis=0)
-            tests = [np.vstack([pencil, others]) for pencil in pencils]
-            return bool(np.linalg.svd(tests, compute_uv=False)[:, -1].min() > _INVISIBLE)
+            """Return True if every eigenvector shows in the angles of the other arms."""
+            other_angles = np.delete(np.eye(n, 2 * n), arm, axis=0)
+            stacked_pencils = [np.vstack([pencil, other_angles]) for pencil in pencils]
+            return bool(np.linalg.svd(stacked_pencils, compute_uv=False)[:, -1].min() > _INVISIBLE)
 
         return [arm + 1 for arm in range(n) if visible(arm)]
 
@@ -292,8 +296,15 @@ class ModelDescription(Documented):
     def rows(self) -> dict[str, tuple[Any, ...]]:
         """State, energy, eigenvalues, kind, need and spare encoders of each equilibrium by name."""
         return {
-            name: (one.state, one.energy, one.eigenvalues, one.kind, self.need(name), self.spare_encoders(name))
-            for name, one in self.equilibria.items()
+            name: (
+                equilibrium.state,
+                equilibrium.energy,
+                equilibrium.eigenvalues,
+                equilibrium.kind,
+                self.need(name),
+                self.spare_encoders(name),
+            )
+            for name, equilibrium in self.equilibria.items()
         }
 
     @property
@@ -338,7 +349,7 @@ def load_model(name: str | Path) -> Model:
 
 
 def model_from(text: str, name: str) -> Model:
-    """Return the model of a file's text, under a name.
+    """Return the model that a text in TOML describes, as if it were a file of this name.
 
     Args:
         text: text of a TOML file.
@@ -356,13 +367,16 @@ _ARMS, _BODIES = leaves_of(ArmChainParameters), leaves_of(ThreeBodyParameters)
 
 
 def _sourced(*leaves: Leaf, required: bool = True) -> Table:
-    """Return a table of these settings and the source of their numbers."""
+    """Return the table of a model's file that holds these settings and the required source of their numbers."""
     source = Leaf("source", Annotated[str, Setting(help="Source of the numbers.")], MISSING)
     return Table({leaf.name: leaf for leaf in (source, *leaves)}, required=required)
 
 
 def _file(system: str, default: Any, tables: Mapping[str, Table]) -> Table:
-    """Return the table of a model's file."""
+    """Return the table that a model's file has as a whole: title, system and the `tables` of this kind of system.
+
+    `default` is the system if the file names none, or `MISSING` if it must name one.
+    """
     choice = Setting(choices=(system,), help="System that the parameters belong to.")
     title = Leaf("title", Annotated[str, Setting(help="Title of pages and logs.")], MISSING)
     return Table({"title": title, "system": Leaf("system", Annotated[str, choice], default), **tables})
@@ -398,60 +412,63 @@ FILE = Choice(
 
 
 def _model(document: Mapping[str, Any], text: str, path: Path) -> Model:
-    """Return the model of a file's contents and text.
+    """Return the model that a file's parsed contents describe, with its text and the path for messages.
 
     Raises:
         InputError: names every mistake.
     """
-    top = Place(str(path))
-    values = FILE.read(document, top)
+    file_place = Place(str(path))
+    values = FILE.read(document, file_place)
     sources = {name: table["source"] for name, table in values.items() if isinstance(table, dict)}
     model = partial(Model, path.stem, path, values["title"], sources=sources, text=text)
     if "primaries" in values:
         return model(parameters=ThreeBodyParameters(mass_ratio=values["primaries"]["mass_ratio"]))
-    columns = {key: values["arms"][key] for key in _INERTIAL}
+    arm_values = {key: values["arms"][key] for key in _INERTIAL}
     friction = {key: value for key, value in values["friction"].items() if key != "source"}
     if "smoothing" in friction and not any(friction.get(law.value) for law in Friction):
         nothing = "there is neither coulomb nor quadratic friction to smooth; give one or leave it out"
-        raise replace(top, table="friction").refusal(f"smoothing: {nothing}", "smoothing")
+        raise replace(file_place, table="friction").refusal(f"smoothing: {nothing}", "smoothing")
     try:
-        chain = ArmChainParameters(**columns, gravity=values["gravity"]["acceleration"], **friction)
+        chain = ArmChainParameters(**arm_values, gravity=values["gravity"]["acceleration"], **friction)
         remarks = oddities(chain)
     except InputError as error:
         key = error.errors[0].key
         table = "gravity" if key == "acceleration" else "friction" if key in friction else "arms"
-        raise error.under(f"{top} [{table}] ", table=table) from error
+        raise error.under(f"{file_place} [{table}] ", table=table) from error
     zeros = values.get("encoders", {}).get("zeros", ())
-    with replace(top, table="encoders"):
+    with replace(file_place, table="encoders"):
         remarks += tuple(_SHOWN_ZEROS.oddities("zeros", zeros))
         if zeros and len(zeros) != chain.count:
             raise InputError(f"zeros has {len(zeros)} values; give one for each arm", key="zeros")
     uncertainty = None
     if "uncertainty" in values:
         uncertainty = Uncertainty(values["uncertainty"]["names"], values["uncertainty"]["covariance"])
-        with replace(top, table="uncertainty"):
+        with replace(file_place, table="uncertainty"):
             uncertainty.check(chain)
     return model(parameters=chain, encoder_zeros=zeros, uncertainty=uncertainty, remarks=remarks)
 
 
 def _robot_text(robot: Robot, path: Path) -> str:
-    """Return the TOML text of a robot's arms, which begins with the differences from its description."""
+    """Return the TOML text of a robot's arms, so that a robot is read, shown and hashed like any other model file.
+
+    It begins with the differences from the robot's description, as comments.
+    """
     source = f"source = {quoted(f'{path.name}, compiled by MuJoCo')}"
-    rows = {name: f"{name} = {_numbers(column)}" for name, column in robot.columns.items()}
+    lines_by_name = {name: f"{name} = {_numbers(column)}" for name, column in robot.columns.items()}
     if not any(robot.columns["coulomb"]):
-        del rows["coulomb"]
+        del lines_by_name["coulomb"]
     lines = [
         *(f"# {_plain(sentence)}" for sentence in robot.differences),
         f"title = {quoted(path.stem)}",
-        *("", "[arms]", source, *(rows.pop(name) for name in _INERTIAL)),
+        *("", "[arms]", source, *(lines_by_name.pop(name) for name in _INERTIAL)),
         *("", "[gravity]", source, f"acceleration = {robot.gravity!r}"),
-        *("", "[friction]", source, *rows.values(), ""),
+        *("", "[friction]", source, *lines_by_name.values(), ""),
     ]
     return "\n".join(lines)
 
 
 def model_text(identification: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:
-    """Return the TOML text of identified arms.
+    """Return the text of a model file with identified arms, the source of each number and its uncertainty.
 
     Args:
         identification: result of the identification.
@@ -460,24 +477,24 @@ def model_text(identification: "Identification", *, title: str, logs: Sequence[s
         starting_model: name of the model that was the first guess.
     """
     arms, count = identification.arms, len(ratio_names(identification.arms))
-    left = np.array([s.rms for s in identification.segments if not s.used])
+    unused = np.array([s.rms for s in identification.segments if not s.used])
     # Control characters in a file's name must not end the comment.
-    of = _plain(f"Identified from {', '.join(logs)}")
+    origin = _plain(f"Identified from {', '.join(logs)}")
     starting_model = _plain(starting_model)
-    finite = np.isfinite(np.diag(identification.covariance)[:count])
+    determined = np.isfinite(np.diag(identification.covariance)[:count])
     # A TOML file of numbers has no infinity: undetermined ratios are not varied.
-    covariance = np.where(np.outer(finite, finite), identification.covariance[:count, :count], 0.0)
+    covariance = np.where(np.outer(determined, determined), identification.covariance[:count, :count], 0.0)
     lines = [
         _first_line(logs, starting_model),
-        f"# {len(left)} segments were left out; their rms is {1e3 * np.median(left):.2f} mrad in the median, "
-        f"{1e3 * left.max():.2f} at worst.",
+        f"# {len(unused)} segments were left out; their rms is {1e3 * np.median(unused):.2f} mrad in the median, "
+        f"{1e3 * unused.max():.2f} at worst.",
         "# What the recordings do not determine:",
         *(f"#   {sentence}" for sentence in identification.undetermined),
         f"title = {quoted(title)}",
         'system = "arm-chain"',
         "",
         "[arms]   # the nearest to the starting model's with the identified ratios",
-        f"source = {quoted(f'{of}: only ratios to {unit_name(arms.count)}; the rest as in {starting_model}')}",
+        f"source = {quoted(f'{origin}: only ratios to {unit_name(arms.count)}; the rest as in {starting_model}')}",
         *(f"{name} = {_numbers(getattr(arms, name))}" for name in _INERTIAL),
         "",
         "[gravity]",
@@ -485,7 +502,7 @@ def model_text(identification: "Identification", *, title: str, logs: Sequence[s
         f"acceleration = {arms.gravity!r}",
         "",
         "[friction]",
-        f"source = {quoted(f'{of}; laws chosen by the error on segments left out')}",
+        f"source = {quoted(f'{origin}; laws chosen by the error on segments left out')}",
         f"viscous = {_numbers(arms.viscous)}   # N m s/rad",
     ]
     units = {"coulomb": "N m", "quadratic": "N s²/m², of the air, at each arm's centre of oscillation"}
@@ -496,13 +513,13 @@ def model_text(identification: "Identification", *, title: str, logs: Sequence[s
         lines += [
             "",
             "[encoders]   # recorded absolute angles at true zero",
-            f"source = {quoted(of)}",
+            f"source = {quoted(origin)}",
             f"zeros = {_numbers(identification.zeros.mean(axis=0))}   # rad",
         ]
     lines += [
         "",
         "[uncertainty]   # covariance of the ratios, row by row; undetermined ratios are not varied",
-        f"source = {quoted(f'{of}; equal residuals assumed over blocks')}",
+        f"source = {quoted(f'{origin}; equal residuals assumed over blocks')}",
         "names = [" + ", ".join(quoted(name) for name in identification.names[:count]) + "]",
         "covariance = [",
         *("    " + ", ".join(repr(float(v)) for v in row) + "," for row in covariance),
@@ -534,11 +551,12 @@ def learnt_text(model: Model, arms: ArmChainParameters, covariance: Array, logs:
 
 
 def _first_line(logs: Sequence[str], starting_model: str) -> str:
+    """Return the first line of a model file that was identified from logs, by which such a file is recognised later."""
     return _plain(f"# Identified from {', '.join(logs)}, starting at the model {starting_model}.")
 
 
 def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str, force: bool = False) -> None:
-    """Reject a model file that was not identified from these logs.
+    """Reject a path at which there is a model file that was not identified from these logs, since writing destroys it.
 
     Args:
         path: file to write.
@@ -550,15 +568,15 @@ def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str
         InputError: there is another file.
     """
     if not force and path.is_file():
-        first = path.read_text(encoding="utf-8", errors="replace").partition("\n")[0]
-        if first != _first_line(logs, starting_model):
+        first_line = path.read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+        if first_line != _first_line(logs, starting_model):
             raise in_the_way(path, "was not identified from these logs")
 
 
 def write_model(
     identification: "Identification", path: Path, *, title: str, logs: Sequence[str], starting_model: str
 ) -> Path:
-    """Write identified arms as a model file and return its path.
+    """Write identified arms as a model file, and return its path.
 
     Args:
         identification: result of the identification.
@@ -575,7 +593,7 @@ def write_model(
 
 
 def quoted(text: str) -> str:
-    """Return text as a TOML string on one line.
+    """Return any text as a TOML string on one line, with quotes.
 
     Args:
         text: any text.
@@ -584,8 +602,10 @@ def quoted(text: str) -> str:
 
 
 def _plain(text: str) -> str:
+    """Return text without control characters, so that it cannot end the line of a TOML comment."""
     return "".join(c if c.isprintable() else " " for c in text)
 
 
 def _numbers(values: Sequence[float] | np.ndarray) -> str:
+    """Return a TOML list of numbers with all their digits."""
     return "[" + ", ".join(repr(float(v)) for v in values) + "]"

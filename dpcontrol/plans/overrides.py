@@ -39,17 +39,17 @@ NOT_OF_LOOP = (*OBJECTS, "seconds")
 
 @cache
 def paths() -> Mapping[str, Leaf]:
-    """Return every setting of a run by its path."""
+    """Return every setting of a run by its path, such as "drive.lag", with its type, bounds and default."""
     # Imported here because the help of verbs needs no dynamics.
     from dpcontrol.loop.controllers import CONTROLLERS, ESTIMATORS
     from dpcontrol.loop.result import SupervisorSettings
     from dpcontrol.plans.layout import KEEP, RUN, HoldPart
 
-    laws = Setting(choices=tuple(CONTROLLERS), help="Law.")
-    filters = Setting(choices=tuple(ESTIMATORS), help="Filter.")
+    law_setting = Setting(choices=tuple(CONTROLLERS), help="Law.")
+    filter_setting = Setting(choices=tuple(ESTIMATORS), help="Filter.")
     leaves = {
-        "controller": Leaf("controller", Annotated[str, laws], "adaptive"),
-        "estimator": Leaf("estimator", Annotated[str, filters], "ekf"),
+        "controller": Leaf("controller", Annotated[str, law_setting], "adaptive"),
+        "estimator": Leaf("estimator", Annotated[str, filter_setting], "ekf"),
         "controller.keep": KEEP,
         "seconds": leaves_of(HoldPart)["seconds"],
         **dict(RUN.values()),
@@ -62,7 +62,7 @@ def paths() -> Mapping[str, Leaf]:
 
 
 def resolved(name: str) -> str:
-    """Return the path of a setting from its name.
+    """Return the path of a setting, such as "drive.lag", from a name, such as "lag" or "run.lag".
 
     Args:
         name: path of a setting, or its last part.
@@ -70,24 +70,26 @@ def resolved(name: str) -> str:
     Raises:
         InputError: no path or several paths end in it.
     """
-    wanted, known_paths = name.strip().replace("-", "_").removeprefix("run."), paths()
-    if wanted in known_paths:
-        return wanted
-    ends = [path for path in known_paths if path.endswith(f".{wanted}")]
+    key, known_paths = name.strip().replace("-", "_").removeprefix("run."), paths()
+    if key in known_paths:
+        return key
+    matching_paths = [path for path in known_paths if path.endswith(f".{key}")]
     # A key of [run] is written alone in a file too, so it has priority over tables such as [estimator].
-    ends = [path for path in ends if not path.startswith(("controller.", "estimator.", "supervisor."))] or ends
-    if len(ends) == 1:
-        return ends[0]
-    if ends:
-        raise InputError(f"{name}: several settings have this name; give {' or '.join(ends)}")
+    matching_paths = [
+        path for path in matching_paths if not path.startswith(("controller.", "estimator.", "supervisor."))
+    ] or matching_paths
+    if len(matching_paths) == 1:
+        return matching_paths[0]
+    if matching_paths:
+        raise InputError(f"{name}: several settings have this name; give {' or '.join(matching_paths)}")
     names = {path.rpartition(".")[2]: path for path in known_paths} | {path: path for path in known_paths}
-    close = names.get(nearest(wanted, names) or nearest(wanted.rpartition(".")[2], names), "")
-    near = f"did you mean {close!r}? " if close else ""
-    raise InputError(f"{name}: no run has this setting; {near}`dpcontrol guide settings` lists all")
+    similar = names.get(nearest(key, names) or nearest(key.rpartition(".")[2], names), "")
+    suggestion = f"did you mean {similar!r}? " if similar else ""
+    raise InputError(f"{name}: no run has this setting; {suggestion}`dpcontrol guide settings` lists all")
 
 
 def canonical(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings by their paths, each value of the setting's type.
+    """Return settings by their full paths, each value checked and of the setting's type.
 
     None keeps the itinerary's value.
 
@@ -111,7 +113,7 @@ def canonical(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parsed(name: str, text: str) -> Any:
-    """Return the value of a setting from its command-line text.
+    """Return the value of a setting from its text on the command line.
 
     Lists are written as in TOML; brackets and quotes can be left out.
 
@@ -132,7 +134,7 @@ def parsed(name: str, text: str) -> Any:
 
 
 def values_in(text: str) -> list[str]:
-    """Return the texts between commas, except those within brackets.
+    """Return the texts of several values of one setting, which commas separate except within brackets.
 
     Args:
         text: values of one setting, such as "0.1,0.2" or "[0.1,0.2],[0.2,0.1]".
@@ -156,7 +158,7 @@ def typed(settings: Mapping[str, Any]) -> str:
 
 
 def option_of(path: str) -> str:
-    """Return the option of a path in `NAMED`.
+    """Return the option of the command line that sets a path of `NAMED`, such as "--lag".
 
     Args:
         path: path of a setting.
@@ -165,7 +167,7 @@ def option_of(path: str) -> str:
 
 
 def settings_to_vary(typed: str = "") -> Sequence[str]:
-    """Return the completions of `--set` and `--over`.
+    """Return the texts that a shell offers as completions of `--set` and `--over`.
 
     Args:
         typed: the setting with the values before the one to complete, such as "controller=lqr,".

@@ -45,8 +45,8 @@ from dpcontrol.references.reference import Reference, still
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
-WOBBLES = 2
-"""Wobbles of a change between two orbits of one saddle."""
+WRAPS = 2
+"""Wraps of a change between two orbits of one saddle."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Goal(Brief):
 
     @property
     def walk(self) -> ShadowingOrbit:
-        """Shadowing orbit of a walk."""
+        """Shadowing orbit of a goal that is a walk."""
         assert self.shadowing is not None
         return self.shadowing
 
@@ -139,7 +139,7 @@ def walk_goal(
 
 
 def stay_goal(itinerary: Itinerary, name: str, seconds: float, *, cart: float = 0.0, pace: Pace = "") -> Goal:
-    """Return the goal of staying at an equilibrium.
+    """Return the goal of a stay at an equilibrium for a given time.
 
     Args:
         itinerary: itinerary with the model.
@@ -177,25 +177,25 @@ def solve_pieces(
     Raises:
         GoalMissed: there is no transfer between two goals.
     """
-    ways = [_way(itinerary, *pair) for pair in pairwise(goals)]
-    wanted = [way.transfer for way in ways if way is not None]
-    ready = 0.5 if wanted else 0.0
+    transfers_between = [_way(itinerary, *pair) for pair in pairwise(goals)]
+    searches = [way.transfer for way in transfers_between if way is not None]
+    ready = 0.5 if searches else 0.0
     first = part_of(progress, 0.0, ready)
-    transfers = find_transfers(wanted, workers=workers, fresh=fresh, progress=first)
+    transfers = find_transfers(searches, workers=workers, fresh=fresh, progress=first)
     pieces: list[SolvedPiece] = []
     for k, goal in enumerate(goals):
-        begun, share = ready + (1 - ready) * k / len(goals), (1 - ready) / len(goals)
+        begin, share = ready + (1 - ready) * k / len(goals), (1 - ready) / len(goals)
         lift = np.zeros(len(goal.first))
         if k > 0:
-            way, lift = ways[k - 1], pieces[-1].lift
+            way, lift = transfers_between[k - 1], pieces[-1].lift
             if way is not None:
                 pieces.append(way.taken(transfers[way.transfer.key], lift))
             elif goal.shadowing is not None:
-                pieces.append(_blend(itinerary, goals[k - 1], lift, goal, part_of(progress, begun, begun + share / 2)))
+                pieces.append(_blend(itinerary, goals[k - 1], lift, goal, part_of(progress, begin, begin + share / 2)))
             lift = pieces[-1].lift
             if not pieces[-1].reference.converged:
                 break
-        portion = part_of(progress, begun + share / 2, begun + share)
+        portion = part_of(progress, begin + share / 2, begin + share)
         pieces.append(_own(itinerary, goal, lift, portion, judged=k == len(goals) - 1))
         if not pieces[-1].reference.converged:
             break
@@ -203,7 +203,7 @@ def solve_pieces(
 
 
 def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndConditions) -> ReferenceProblem:
-    """Return the problem of following a guess with a cart.
+    """Return the problem of a reference with friction and cart that follows a guess.
 
     Args:
         itinerary: arms and limits.
@@ -222,7 +222,7 @@ def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndC
 
 
 def lifted(state: Array, lift: Array, cart: float = 0.0) -> Array:
-    """Return a pendulum's state with a cart at rest.
+    """Return the state of arms and cart, with turns added to the arms' angles and the cart at rest.
 
     Args:
         state: state (2n,) of the pendulum.
@@ -237,14 +237,14 @@ def lifted(state: Array, lift: Array, cart: float = 0.0) -> Array:
 
 
 def lifted_guess(goal: Goal, lift: Array) -> Guess:
-    """Return the guess along a walk's shadowing orbit.
+    """Return the guess of a walk's reference: its shadowing orbit with turns added, as a function of time.
 
     Args:
         goal: goal of a walk.
         lift: angles (n,) added to those of the orbit, rad.
     """
-    sample, turned = goal.walk.states, np.concatenate([lift, np.zeros(len(lift))])
-    return lambda times: sample(times + goal.begin) + turned
+    sample, offset = goal.walk.states, np.concatenate([lift, np.zeros(len(lift))])
+    return lambda times: sample(times + goal.begin) + offset
 
 
 _ROOM, _ELSEWHERE = 0.05, 0.6
@@ -261,9 +261,15 @@ middle, but the pendulum anywhere: an end on the frictionless orbit takes it off
 
 
 def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, judged: bool) -> SolvedPiece:
-    """Return the solved reference of a walk or a stay.
+    """Return the solved reference of one goal, a walk or a stay, without transfers.
 
-    judged: True if the itinerary ends on its last orbit, which judges it.
+    Args:
+        itinerary: arms, limits and settings.
+        goal: walk or stay.
+        lift: angles (n,) added to those of the goal, rad.
+        progress: receiver of progress reports.
+        judged: True if the itinerary ends on this walk's last orbit, from which the run's end is judged. The reference
+            must then stay near it.
     """
     settings = itinerary.reference
     if goal.shadowing is None:
@@ -273,26 +279,28 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, j
         return SolvedPiece(goal.text, goal, lift, reference)
     problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions())
     if settings.level == "conservative":
-        free = itinerary.model.arms.frictionless()
-        conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
+        frictionless_arms = itinerary.model.arms.frictionless()
+        conservative = replace(
+            problem, equations=equations_of(frictionless_arms, Level.CART), parameters=frictionless_arms.base()
+        )
         return SolvedPiece(goal.text, goal, lift, shadowed(conservative, settings))
     reference = find_reference(problem, settings, progress=progress)
     if not judged:
         return SolvedPiece(goal.text, goal, lift, reference)
-    anywhere = np.array([np.nan] * 2 * len(lift) + [0.0, 0.0])
-    open_ended = replace(problem, ends=EndConditions(end=anywhere))
+    end_at_rest = np.array([np.nan] * 2 * len(lift) + [0.0, 0.0])
+    open_ended = replace(problem, ends=EndConditions(end=end_at_rest))
     if not reference.converged:
-        easier = find_reference(open_ended, settings, progress=progress)
-        reference = easier if easier.converged else reference
-    least = _off_last_orbit(goal, reference, lift) if reference.converged else 0.0
+        open_reference = find_reference(open_ended, settings, progress=progress)
+        reference = open_reference if open_reference.converged else reference
+    least_distance = _off_last_orbit(goal, reference, lift) if reference.converged else 0.0
     for factor in _CLOSER:
-        if not _ROOM < least < _ELSEWHERE:
+        if not _ROOM < least_distance < _ELSEWHERE:
             break
         weight = factor * settings.pendulum_weight
-        closer = find_reference(open_ended, replace(settings, pendulum_weight=weight), progress=progress)
-        gap = _off_last_orbit(goal, closer, lift)
-        if closer.converged and gap < least:
-            reference, least = closer, gap
+        heavier_reference = find_reference(open_ended, replace(settings, pendulum_weight=weight), progress=progress)
+        distance = _off_last_orbit(goal, heavier_reference, lift)
+        if heavier_reference.converged and distance < least_distance:
+            reference, least_distance = heavier_reference, distance
     return SolvedPiece(goal.text, goal, lift, reference)
 
 
@@ -301,14 +309,17 @@ _PHASES = 1000
 
 
 def _off_last_orbit(goal: Goal, reference: Reference, lift: Array) -> float:
-    """Return the distance of a walk's angles from its last orbit over the last period, rad."""
+    """Return the largest distance of a walk's reference from its last orbit over the last period, rad.
+
+    `lift` (n,) is added to the goal's angles. Distances are those of the angles from the nearest point of the orbit.
+    """
     orbit, n = goal.orbits[1], len(lift)
     shares = np.linspace(0.0, 1.0, _PHASES)
     path = OrbitCurve(orbit).states(shares)[:, :n] - orbit.system.equilibrium(orbit.saddle)[:n] + goal.last + lift
-    late = reference.state(reference.duration - orbit.period * shares.clip(max=reference.duration / orbit.period))[
-        :, :n
-    ]
-    return float(np.abs(late[:, None] - path).max(axis=2).min(axis=1).max())
+    last_period = reference.state(
+        reference.duration - orbit.period * shares.clip(max=reference.duration / orbit.period)
+    )[:, :n]
+    return float(np.abs(last_period[:, None] - path).max(axis=2).min(axis=1).max())
 
 
 @dataclass(frozen=True)
@@ -322,34 +333,47 @@ class _Way:
     turns: list[Array]
 
     def taken(self, reference: Reference, lift: Array) -> SolvedPiece:
-        """Return the transfer's reference as a piece; `lift` (n,) is that of the goal before it."""
-        landed = reference.state(reference.duration)
-        nearest = int(np.argmin([np.abs(landed - end).max() for end in self.transfer.ends]))
-        onward = self.turns[nearest] * 2 * np.pi + lift
-        return SolvedPiece(self.transfer.text, None, onward, turned(reference, lift))
+        """Return the transfer's solved reference as a piece whose lift is that of the goal after it.
+
+        `lift` (n,) is that of the goal before it. The reference ends at one of several equivalent ends, which differ by
+        turns.
+        """
+        end_state = reference.state(reference.duration)
+        nearest = int(np.argmin([np.abs(end_state - end).max() for end in self.transfer.ends]))
+        next_lift = self.turns[nearest] * 2 * np.pi + lift
+        return SolvedPiece(self.transfer.text, None, next_lift, turned(reference, lift))
 
 
 def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
-    """Return the transfer from one goal to the next, or None between orbits of one saddle and within a stay."""
-    rest = resting_place(itinerary.model.system)
-    names = ["rest" if name == rest else name for name in (before.where[1], after.where[0])]
-    apart = (before.last - after.first) / (2 * np.pi)
+    """Return the transfer from one goal to the next, or None if they meet without one.
+
+    Walks about one saddle are blended instead, and a stay continues the stay before it at the same place.
+    """
+    resting_name = resting_place(itinerary.model.system)
+    names = ["rest" if name == resting_name else name for name in (before.where[1], after.where[0])]
+    distance_in_turns = (before.last - after.first) / (2 * np.pi)
     walks = [goal.shadowing is not None for goal in (before, after)]
-    stays = names[0] == names[1] and walks[0] == walks[1]
-    if stays and before.cart == after.cart:
+    same_place = names[0] == names[1] and walks[0] == walks[1]
+    if same_place and before.cart == after.cart:
         return None
-    text = f"side-step at {names[0]}" if stays else " to ".join(names)
-    turns = ways_round(apart)
+    text = f"side-step at {names[0]}" if same_place else " to ".join(names)
+    turns = ways_round(distance_in_turns)
     if not any(walks):
         # Between equilibria a transfer and its mirror image are equivalent.
-        turns = [way for k, way in enumerate(turns) if not any(np.allclose(way - apart, apart - w) for w in turns[:k])]
+        turns = [
+            way
+            for k, way in enumerate(turns)
+            if not any(np.allclose(way - distance_in_turns, distance_in_turns - w) for w in turns[:k])
+        ]
     ends = [lifted(after.start, way * 2 * np.pi, after.cart) for way in turns]
-    start = lifted(before.end, np.zeros(len(apart)), before.cart)
+    start = lifted(before.end, np.zeros(len(distance_in_turns)), before.cart)
     return _Way(Transfer.of(itinerary, text, start, ends, after.pace), turns)
 
 
 def ways_round(apart: Array) -> list[Array]:
-    """Return the whole turns (n,) that bring arms together, in both directions for half a turn.
+    """Return the whole turns (n,) that a transfer may add to its end so that the arms go one way or the other.
+
+    An arm that is within a tenth of a whole number of turns has one candidate, and any other arm has two.
 
     Args:
         apart: distances (n,) of the arms, in turns.
@@ -359,29 +383,43 @@ def ways_round(apart: Array) -> list[Array]:
 
 
 def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, progress: Progress) -> SolvedPiece:
-    """Return the piece between two walks about one saddle, from the last orbit of one to the first of the next."""
+    """Return the piece between two walks about one saddle, which may have different energies.
+
+    It leads from the last orbit of one walk to the first orbit of the next, within about two periods. The guess mixes
+    both orbits.
+
+    Args:
+        itinerary: arms, limits and settings.
+        leaving: walk before the change.
+        lift: angles (n,) added to those of the walk before, rad.
+        joining: walk after the change.
+        progress: receiver of progress reports.
+    """
     before, after = leaving.walk, joining.walk
-    onward = np.rint((leaving.last - joining.first) / (2 * np.pi)) * 2 * np.pi + lift
+    next_lift = np.rint((leaving.last - joining.first) / (2 * np.pi)) * 2 * np.pi + lift
     first, last = leaving.orbits[1], joining.orbits[0]
     departure, arrival = _phase_at_end(before, first), _phase_at_start(after, last)
-    turns = WOBBLES + (arrival - departure) % 1.0
-    pace = (1 / first.period, 1 / last.period)
-    duration = 2 * turns / (pace[0] + pace[1])
+    turns = WRAPS + (arrival - departure) % 1.0
+    frequencies = (1 / first.period, 1 / last.period)
+    duration = 2 * turns / (frequencies[0] + frequencies[1])
     curves = OrbitCurve(first), OrbitCurve(last)
     n = len(lift)
     # Curves are at the saddle's named position. The walk's last lift has all its turns.
-    home = before.offsets[-1][:n] * 2 * np.pi + lift
+    angle_offset = before.offsets[-1][:n] * 2 * np.pi + lift
 
     def guess(times: Array) -> Array:
-        s = np.asarray(times, dtype=float) / duration
-        phases = departure + duration * (pace[0] * s + (pace[1] - pace[0]) * s**2 / 2)
-        share = (s**2 * (3 - 2 * s))[:, None]
+        """Return the pendulum's states (K, 2n) at times (K,), s."""
+        share_of_time = np.asarray(times, dtype=float) / duration
+        phases = departure + duration * (
+            frequencies[0] * share_of_time + (frequencies[1] - frequencies[0]) * share_of_time**2 / 2
+        )
+        share = (share_of_time**2 * (3 - 2 * share_of_time))[:, None]
         states = (1 - share) * curves[0].states(phases) + share * curves[1].states(phases)
-        states[:, :n] += home
+        states[:, :n] += angle_offset
         return states
 
     start, end = before.states(np.array([before.duration]))[0], after.states(np.array([0.0]))[0]
-    ends = EndConditions(start=lifted(start, lift), end=lifted(end, onward))
+    ends = EndConditions(start=lifted(start, lift), end=lifted(end, next_lift))
     reference = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
     if not reference.converged:
         energies = (first.energy, last.energy)
@@ -389,15 +427,17 @@ def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, prog
         reference = replace(
             reference, ending=ReferenceEnding(cause, energies=energies, saddle=first.saddle, inner=reference.ending)
         )
-    return SolvedPiece(f"change of energy at {first.saddle}", None, onward, reference)
+    return SolvedPiece(f"change of energy at {first.saddle}", None, next_lift, reference)
 
 
 def _phase_at_end(orbit: ShadowingOrbit, last: LyapunovOrbit) -> float:
+    """Return the phase of a walk's last periodic orbit at the walk's end, in periods."""
     nodes = orbit.orbit
     return nodes.end.orbit_phase + (orbit.duration - float(nodes.times[-1])) / last.period
 
 
 def _phase_at_start(orbit: ShadowingOrbit, first: LyapunovOrbit) -> float:
+    """Return the phase of a walk's first periodic orbit at the walk's start, in periods."""
     nodes = orbit.orbit
     return nodes.start.orbit_phase - float(nodes.times[0]) / first.period
 
@@ -410,6 +450,7 @@ class _Story:
     """Stops and symbols in order, with their orbits and equilibria in the order of the first visit."""
 
     def __init__(self, itinerary: Itinerary) -> None:
+        """Start without stops; pieces are entered and followed in order."""
         self.system = itinerary.model.system
         self.stops: list[PlanStop] = []
         self.symbols: list[PlanSymbol] = []
@@ -420,34 +461,54 @@ class _Story:
         """Place of the cart at the last stop, m."""
 
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
-        """Add the first stop of a piece, and the transfer before it, if there is one, by its text."""
+        """Add the first stop of a piece, and the transfer that leads to it.
+
+        Args:
+            goal: walk or stay of the piece.
+            angles: angles (n,) of its first stop, with whole turns, rad.
+            text: name of the transfer before it, "" without one.
+        """
         name = goal.where[0]
-        place = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
+        orbit_index = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
         at_stop = bool(self.stops) and np.allclose(self.stops[-1].angles, angles)
         if not text or (at_stop and self.cart == goal.cart):
-            self._arrive(name, angles, place, None, None)
+            self._arrive(name, angles, orbit_index, None, None)
             return
-        before = self.stops[-1]
-        turns = tuple(map(int, np.rint((angles - np.asarray(before.angles)) / (2 * np.pi))))
+        previous_stop = self.stops[-1]
+        turns = tuple(map(int, np.rint((angles - np.asarray(previous_stop.angles)) / (2 * np.pi))))
         symbol = PlanSymbol(
-            text=text, time=sum(self.transfers[-1]) / 2, source=before.saddle, target=name, winding=turns
+            text=text, time=sum(self.transfers[-1]) / 2, source=previous_stop.saddle, target=name, winding=turns
         )
-        self._arrive(name, angles, place, symbol, None)
+        self._arrive(name, angles, orbit_index, symbol, None)
 
     def follow(self, goal: Goal, lift: Array, begin: float) -> None:
-        """Add the stops and symbols of a walk that begins at a time, s, with lifted angles."""
+        """Add the stops and symbols of a walk.
+
+        Args:
+            goal: the walk.
+            lift: angles (n,) added to those of its orbit, rad.
+            begin: time at which the piece begins in the plan, s.
+        """
         orbit, n = goal.walk, len(lift)
-        rows = zip(goal.symbols, orbit.connections, orbit.symbol_times, strict=True)
-        for k, (text, connection, time) in enumerate(rows):
+        symbols = zip(goal.symbols, orbit.connections, orbit.symbol_times, strict=True)
+        for k, (text, connection, time) in enumerate(symbols):
             target = connection.target.saddle
-            home = self.system.equilibrium(target) + orbit.offsets[k + 1] * self.system.turn_lengths
+            stop_state = self.system.equilibrium(target) + orbit.offsets[k + 1] * self.system.turn_lengths
             crossing = orbit.states(np.array([time]))[0] + np.concatenate([lift, np.zeros(n)])
             symbol = _connection_symbol(text, connection, crossing, begin + float(time) - goal.begin)
             wraps = orbit.wraps[k - 1] if k > 0 else goal.wraps
-            self._arrive(target, home[:n] + lift, self._on(connection.target), symbol, wraps)
+            self._arrive(target, stop_state[:n] + lift, self._on(connection.target), symbol, wraps)
 
     def _arrive(self, name: str, angles: Array, orbit: int, symbol: PlanSymbol | None, wraps: int | None) -> None:
-        """Add a stop with its symbol, or only its orbit if the stop is the previous one."""
+        """Add a stop with the symbol that leads to it; without a symbol, give the previous stop another orbit.
+
+        Args:
+            name: saddle or equilibrium.
+            angles: its angles (n,) with whole turns, rad.
+            orbit: index of the orbit at the stop.
+            symbol: transfer or connection that leads to the stop, None if the stop is the previous one.
+            wraps: wraps between the previous symbol and this one, None after a transfer.
+        """
         stop = PlanStop(name, tuple(angles.tolist()), orbit)
         if symbol is None and self.stops:
             self.stops[-1] = replace(stop, arrived_on=self.stops[-1].orbit)
@@ -459,6 +520,7 @@ class _Story:
         self.stops.append(stop)
 
     def _on(self, orbit: LyapunovOrbit) -> int:
+        """Return the index of a Lyapunov orbit among the plan's orbits, to which it is added on the first visit."""
         if (key := (orbit.saddle, orbit.energy)) not in self.orbits:
             self.orbits[key] = PlanOrbit(
                 *key,
@@ -471,6 +533,7 @@ class _Story:
         return list(self.orbits).index(key)
 
     def _at_rest(self, name: str) -> int:
+        """Return the index of an equilibrium among the plan's orbits, to which it is added on the first visit."""
         state = self.system.equilibrium(name)
         if (key := (name, float(self.system.numeric.hamiltonian(state)))) not in self.orbits:
             self.orbits[key] = PlanOrbit(*key, STILL, 1.0, np.vstack([state, state]))
@@ -478,22 +541,22 @@ class _Story:
 
 
 def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array) -> PlanContent:
-    """Return the content of a plan of solved pieces.
+    """Return the content of a plan (stops, symbols, orbits, transfers) from its solved pieces.
 
     Args:
         itinerary: itinerary of the pieces.
         pieces: P pieces in order.
         begins: start of each piece and end of the last, (P+1,), s.
     """
-    story, way = _Story(itinerary), ""
+    story, transfer_name = _Story(itinerary), ""
     for piece, begin, end in zip(pieces, begins[:-1], begins[1:], strict=True):
         goal = piece.goal
         if goal is None:
             story.transfers.append((float(begin), float(end)))
-            way = piece.text
+            transfer_name = piece.text
             continue
         if goal.wraps is None:
-            story.enter(goal, goal.first + piece.lift, way)
+            story.enter(goal, goal.first + piece.lift, transfer_name)
             story.cart = goal.cart
         if goal.shadowing is not None:
             story.follow(goal, piece.lift, float(begin))
@@ -534,6 +597,7 @@ def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begin
 
 
 def _connection_symbol(text: str, connection: Connection, crossing: Array, time: float) -> PlanSymbol:
+    """Return a connection as a symbol of a plan, crossed at a time (s) of the plan and a state (2n,) with turns."""
     section = connection.section
     return PlanSymbol(
         text=text, source=connection.source.saddle, target=connection.target.saddle, time=time,

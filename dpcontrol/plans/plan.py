@@ -74,7 +74,7 @@ class Plan(ByReference, Timed, Documented):
 
     @property
     def final(self) -> "Plan":
-        """The polished plan if it was asked for, otherwise this one."""
+        """The polished plan if one was requested, otherwise this one."""
         return self if self.polished is None else self.polished.polished
 
     @cached_property
@@ -137,7 +137,7 @@ class Plan(ByReference, Timed, Documented):
         return file.getvalue()
 
     def followed(self) -> "Plan":
-        """Return the plan if its reference can be followed.
+        """Return the plan itself if its reference can be followed, for callers that need one.
 
         Raises:
             GoalMissed: it did not converge.
@@ -153,7 +153,7 @@ class Plan(ByReference, Timed, Documented):
 
 
 def plan_key(itinerary: Itinerary) -> str:
-    """Return the hash of a plan's inputs, as 16 hexadecimal digits.
+    """Return the hash of a plan's inputs (16 hexadecimal digits), which is its key in the cache.
 
     Args:
         itinerary: itinerary of the plan.
@@ -184,6 +184,7 @@ _TRANSFER, _TRANSFER_OF_MORE = 1.6, 6.0
 
 
 def _amounts(itinerary: Itinerary) -> dict[str, int]:
+    """Return the numbers by which planning becomes long, by the keys of an itinerary's file that set them."""
     return {
         "wraps": sum(itinerary.wraps),
         "walk": len(itinerary.walk),
@@ -193,12 +194,12 @@ def _amounts(itinerary: Itinerary) -> dict[str, int]:
 
 
 def _extent(itinerary: Itinerary) -> tuple[int, int]:
-    """Return the numbers of periods in the walks of an itinerary, and of its transfers."""
+    """Return the numbers of periods and of transfers in an itinerary, from which the cost of planning follows."""
     ends = zip((itinerary.start, itinerary.finish), (itinerary.parts[0], itinerary.parts[-1]), strict=True)
-    added = (end == "rest" or (end == "hold" and isinstance(part, WalkPart)) for end, part in ends)
-    apart = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
+    transfers_at_ends = (end == "rest" or (end == "hold" and isinstance(part, WalkPart)) for end, part in ends)
+    transfers_between = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
     amounts = _amounts(itinerary)
-    return sum(amounts.values()) + (_FLIGHT - 1) * amounts["walk"], sum(added) + sum(apart)
+    return sum(amounts.values()) + (_FLIGHT - 1) * amounts["walk"], sum(transfers_at_ends) + sum(transfers_between)
 
 
 def plan_cost(itinerary: Itinerary) -> Cost:
@@ -208,15 +209,15 @@ def plan_cost(itinerary: Itinerary) -> Cost:
         itinerary: itinerary to plan.
     """
     periods, transfers = _extent(itinerary)
-    of_walks = _SECONDS * periods
-    of_transfers = (_TRANSFER if itinerary.model.arms.count < 3 else _TRANSFER_OF_MORE) * transfers
+    walk_seconds = _SECONDS * periods
+    transfer_seconds = (_TRANSFER if itinerary.model.arms.count < 3 else _TRANSFER_OF_MORE) * transfers
     # The user is told the key of the file that makes planning long.
     key, amount = max(_amounts(itinerary).items(), key=lambda item: item[1])
-    if of_transfers > of_walks:
+    if transfer_seconds > walk_seconds:
         key, amount = "parts", len(itinerary.parts)
-    longest = f"{itinerary.path}: {key}, {amount:,} {'symbols' if key == 'walk' else 'in all'}"
+    cause = f"{itinerary.path}: {key}, {amount:,} {'symbols' if key == 'walk' else 'in all'}"
     work = f"a reference of {periods:,} periods" + (f" and {transfers:,} transfers" if transfers else "")
-    return Cost(work, of_walks + of_transfers, _MEMORY * (periods + _FLIGHT * transfers), longest)
+    return Cost(work, walk_seconds + transfer_seconds, _MEMORY * (periods + _FLIGHT * transfers), cause)
 
 
 _PERIOD, _TRANSFER_LASTS = 0.7, 2.5
@@ -224,7 +225,7 @@ _PERIOD, _TRANSFER_LASTS = 0.7, 2.5
 
 
 def expected_seconds(itinerary: Itinerary) -> float:
-    """Estimate the duration of an itinerary before it is planned, s.
+    """Estimate the duration (s) of an itinerary's motion before it is planned.
 
     Args:
         itinerary: itinerary to plan.
@@ -243,7 +244,7 @@ def make_plan(
     workers: int = 1,
     yes: bool = False,
 ) -> Plan:
-    """Plan an itinerary, or return its plan from the cache.
+    """Return the plan of an itinerary, from the cache if possible.
 
     A reference that did not converge is returned with its status and not cached.
 
@@ -283,6 +284,11 @@ def _cached(itinerary: Itinerary, content: bytes, file: Path) -> Plan:
     """Return a cached plan with the texts of this itinerary.
 
     The cache's key has the inputs of planning alone, so settings of runs and the plant may have changed.
+
+    Args:
+        itinerary: requested itinerary.
+        content: bytes of the cached .npz file.
+        file: the cached file.
     """
     reference = load_reference(BytesIO(content))
     plan = reference.content

@@ -68,7 +68,7 @@ def planned(
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> Reference:
-    """Return the reference of an itinerary.
+    """Return the reference of an itinerary with the content of its plan, computed from connections to collocation.
 
     Args:
         itinerary: itinerary to plan.
@@ -87,43 +87,61 @@ def planned(
         walk = itinerary.walks[0]
         chain, solver = _connections(itinerary, walk, part_of(progress, 0.0, 0.5))
         return _kept_walk(itinerary, walk, chain, solver, part_of(progress, 0.5, 1.0))
-    ready = 0.4 if itinerary.walks else 0.0
-    goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, ready))
-    pieces = solve_pieces(itinerary, goals, fresh=fresh, workers=workers, progress=part_of(progress, ready, 1.0))
+    share_of_goals = 0.4 if itinerary.walks else 0.0
+    goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, share_of_goals))
+    pieces = solve_pieces(
+        itinerary, goals, fresh=fresh, workers=workers, progress=part_of(progress, share_of_goals, 1.0)
+    )
     reference, begins = joined([piece.reference for piece in pieces])
     content = content_of_pieces(itinerary, pieces, begins)
-    ways = [(p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None]
-    return replace(reference, plan=replace(content, costs=transfer_costs(ways)))
+    solved_transfers = [
+        (p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None
+    ]
+    return replace(reference, plan=replace(content, costs=transfer_costs(solved_transfers)))
 
 
 def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
-    """Return the goals of an itinerary, one for each part.
+    """Return the goals of an itinerary, one for each part, with its rests and holds at the start and the end.
 
-    Rests and holds at its ends are added if required. A hold of the hanging arms is itself the rest, with its duration.
+    A hold of the hanging arms is itself the rest, with its duration. `orbits` holds the shadowing orbits of the walks,
+    if they are known; they are used up in order.
     """
     ends, goals = (itinerary.start, itinerary.finish), list[Goal]()
     first, last = itinerary.parts[0], itinerary.parts[-1]
-    before, after = (_equilibrium(itinerary, end, number) for number, end in zip((0, -1), ends, strict=True))
+    first_equilibrium, last_equilibrium = (
+        _equilibrium(itinerary, end, number) for number, end in zip((0, -1), ends, strict=True)
+    )
     # Runs start with the cart in the middle.
-    if before and not (isinstance(first, HoldPart) and first.hold == before and not first.cart):
-        goals.append(stay_goal(itinerary, before, REST_BEFORE))
+    if first_equilibrium and not (isinstance(first, HoldPart) and first.hold == first_equilibrium and not first.cart):
+        goals.append(stay_goal(itinerary, first_equilibrium, REST_BEFORE))
     for k, part in enumerate(itinerary.parts):
         if isinstance(part, WalkPart):
             portion = part_of(progress, k / len(itinerary.parts), (k + 1) / len(itinerary.parts))
             orbit = orbits.pop(0) if orbits else shadowing_orbit(itinerary, part, progress=portion)
-            beside = [itinerary.parts[j] if 0 <= j < len(itinerary.parts) else None for j in (k - 1, k + 1)]
+            neighbours = [itinerary.parts[j] if 0 <= j < len(itinerary.parts) else None for j in (k - 1, k + 1)]
             # Walks meet on their orbits. To rest or a hold, there is a transfer.
-            apart = (e != "orbit" if b is None else isinstance(b, HoldPart) for e, b in zip(ends, beside, strict=True))
-            goals.append(walk_goal(orbit, part.walk, round_off=(next(apart), next(apart)), pace=part.transfer))
+            needs_transfer = (
+                ending != "orbit" if neighbour is None else isinstance(neighbour, HoldPart)
+                for ending, neighbour in zip(ends, neighbours, strict=True)
+            )
+            goals.append(
+                walk_goal(orbit, part.walk, round_off=(next(needs_transfer), next(needs_transfer)), pace=part.transfer)
+            )
         elif isinstance(part, HoldPart):
             goals.append(stay_goal(itinerary, part.hold, part.seconds, cart=part.cart, pace=part.transfer))
-    if after and not (isinstance(last, HoldPart) and last.hold == after):
-        goals.append(stay_goal(itinerary, after, REST_AFTER))
+    if last_equilibrium and not (isinstance(last, HoldPart) and last.hold == last_equilibrium):
+        goals.append(stay_goal(itinerary, last_equilibrium, REST_AFTER))
     return goals
 
 
 def _equilibrium(itinerary: Itinerary, end: str, number: int) -> str:
-    """Return the equilibrium at an end of an itinerary whose first (0) or last (-1) part is there, "" on an orbit."""
+    """Return the name of the equilibrium at which an itinerary starts or finishes, "" if it does so on an orbit.
+
+    Args:
+        itinerary: itinerary of the part.
+        end: "rest", "hold" or "orbit", as `start` and `finish` give it.
+        number: 0 for the start and the first part, -1 for the finish and the last part.
+    """
     part, system = itinerary.parts[number], itinerary.model.system
     if end == "rest":
         return resting_place(system)
@@ -167,11 +185,17 @@ _BESIDE, _BETWEEN = 0.01, 5
 
 
 def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> ShadowingOrbit:
-    """Return the walk of three arms along the connection nearest to the part's energy."""
+    """Return the walk of three arms along the connection nearest to the part's energy.
+
+    Connections of three arms exist at single energies only, so those of a small range of energies are searched.
+    """
     (symbol, *_) = parse_walk(part.walk, system.saddles)
-    reach = _BESIDE * system.energy_scale
+    range_of_energies = _BESIDE * system.energy_scale
     lowest = equilibrium(system, symbol.source).energy
-    energies = (max(part.energy - reach, lowest + 1e-3 * reach), part.energy + reach)
+    energies = (
+        max(part.energy - range_of_energies, lowest + 1e-3 * range_of_energies),
+        part.energy + range_of_energies,
+    )
     search = find_symmetric_connections(
         system, symbol.source, energies=energies, hit=(symbol.hits or (1, 1))[0],
         settings=SymmetricSettings(energies=_BETWEEN), progress=progress,
@@ -181,7 +205,10 @@ def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> Shado
 
 
 def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tuple[tuple[Connection, ...], WalkSolver]:
-    """Return the connections of a part's walk, and a solver that finds their shadowing orbits."""
+    """Return the connections of a part's walk, and a solver that finds their shadowing orbits.
+
+    If a connection does not exist, the error's message names energies at which all of them do.
+    """
     system = itinerary.model.system
     symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
@@ -190,14 +217,14 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
         if edges.absent:
             raise GoalMissed("; ".join(reason for _, reason in edges.absent))
         by_name = {connection.name: connection for connection in edges.known}
-        loss = cache(lambda name: connection_loss(itinerary.model.arms, by_name[name]))
-        return resolve(part.walk, edges, lambda connection: loss(connection.name)), WalkSolver(edges.known)
+        loss_of = cache(lambda name: connection_loss(itinerary.model.arms, by_name[name]))
+        return resolve(part.walk, edges, lambda connection: loss_of(connection.name)), WalkSolver(edges.known)
     except (InputError, GoalMissed) as error:
         # The name of a connection is valid at one energy only.
-        named = any(simple.name is not None for symbol in symbols for simple in symbol.simple)
-        more = "" if named else f"; {_other_energies(system, part, pairs)}"
+        has_connection_name = any(simple.name is not None for symbol in symbols for simple in symbol.simple)
+        remedy = "" if has_connection_name else f"; {_other_energies(system, part, pairs)}"
         symbol = None if error.symbol is None else _first_symbol(itinerary, part) + error.symbol
-        raise type(error)(f"{error}{more}", symbol=symbol) from error
+        raise type(error)(f"{error}{remedy}", symbol=symbol) from error
 
 
 _SHARES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7)
@@ -207,29 +234,35 @@ _LOST = 1e11
 
 
 def _other_energies(system: System, part: WalkPart, pairs: Sequence[tuple[str, str]]) -> str:
-    """Return a sentence on nearby energies at which a walk along these `pairs` of saddles has all connections."""
+    """Return a sentence on nearby energies at which a walk has all its connections, the remedy in an error message.
+
+    Args:
+        system: system of the walk.
+        part: the walk, with the energy that failed.
+        pairs: pairs of saddles that the walk's symbols connect.
+    """
     heights = {name: equilibrium.energy for name, equilibrium in equilibria(system).items()}
     stops = list(dict.fromkeys(name for pair in pairs for name in pair))
-    low, top = max(heights[name] for name in stops), max(heights.values())
-    energies = sorted((low + share * (top - low) for share in _SHARES), key=lambda e: abs(e - part.energy))
-    lost: list[tuple[float, str]] = []
+    lowest, highest = max(heights[name] for name in stops), max(heights.values())
+    energies = sorted((lowest + share * (highest - lowest) for share in _SHARES), key=lambda e: abs(e - part.energy))
+    unstable_orbits: list[tuple[float, str]] = []
     for energy in energies:
         orbits = [lyapunov_orbit(system, name, energy=energy) for name in stops]
-        worst = max((abs(orbit.unstable_multiplier), orbit.saddle) for orbit in orbits)
-        if worst[0] > _LOST:
-            lost.append(worst)
+        most_unstable = max((abs(orbit.unstable_multiplier), orbit.saddle) for orbit in orbits)
+        if most_unstable[0] > _LOST:
+            unstable_orbits.append(most_unstable)
             continue
         try:
             resolve(part.walk, find_edges(system, energy, pairs=pairs))
         except (InputError, GoalMissed):
             continue
         return f"at {energy:.4g} J there are connections for each symbol"
-    text = f"nor were any found at {len(energies)} energies from {min(energies):.4g} to {max(energies):.4g} J"
-    if len(lost) < len(energies):
-        return f"{text}; take other symbols"
-    growth, saddle = min(lost)
-    why = f"there a period near the orbit about {saddle} multiplies errors by {growth:.0e} or more"
-    return f"{text}: {why}, beyond double precision; take a walk without {saddle}, or one that needs less energy"
+    finding = f"nor were any found at {len(energies)} energies from {min(energies):.4g} to {max(energies):.4g} J"
+    if len(unstable_orbits) < len(energies):
+        return f"{finding}; take other symbols"
+    growth, saddle = min(unstable_orbits)
+    reason = f"there a period near the orbit about {saddle} multiplies errors by {growth:.0e} or more"
+    return f"{finding}: {reason}, beyond double precision; take a walk without {saddle}, or one that needs less energy"
 
 
 _SAMPLES = 401
@@ -238,7 +271,7 @@ _SAMPLES = 401
 def _kept_walk(
     itinerary: Itinerary, part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, progress: Progress
 ) -> Reference:
-    """Return the reference of a walk with kept stops.
+    """Return the reference of a walk whose stops are stays on sustained orbits, joined by flights.
 
     Raises:
         GoalMissed: a sustained orbit, or a flight's shadowing orbit or reference, was not found.
@@ -256,34 +289,40 @@ def _kept_walk(
 
 
 def _early(flight: Goal) -> float:
-    """Return the periods from a flight's start to the departure of its first connection."""
-    first = flight.walk.connections[0]
-    return (float(flight.walk.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
+    """Return the periods from a flight's start to the departure of its first connection.
+
+    The stay before the flight is shorter by these periods, see `_periods`.
+    """
+    connection = flight.walk.connections[0]
+    return (float(flight.walk.symbol_times[0]) - flight.begin - connection.time_out) / connection.source.period
 
 
 def _late(flight: Goal) -> float:
-    """Return the periods from the arrival of a flight's last connection to the flight's end."""
-    last, end = flight.walk.connections[-1], flight.begin + flight.seconds
-    return (end - float(flight.walk.symbol_times[-1]) - last.time_in) / last.target.period
+    """Return the periods from the arrival of a flight's last connection to the flight's end.
+
+    The stay after the flight is shorter by these periods, see `_periods`.
+    """
+    connection, end = flight.walk.connections[-1], flight.begin + flight.seconds
+    return (end - float(flight.walk.symbol_times[-1]) - connection.time_in) / connection.target.period
 
 
 def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
-    """Return the sustained orbits of a walk by saddle, computed with the itinerary's method.
+    """Return the sustained orbits of a walk's stops by saddle, which the cart keeps up in spite of friction.
 
     Raises:
         GoalMissed: an orbit did not converge.
     """
     # The cheapest orbit, not the nearest to the Lyapunov orbit.
-    sought = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)
+    settings = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)
     orbits: dict[str, SustainedOrbit] = {}
     for lyapunov in (chain[0].source, *(connection.target for connection in chain)):
         if lyapunov.saddle not in orbits:
             sustained = sustained_orbit(
-                lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, settings=sought
+                lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, settings=settings
             )
             if not sustained.converged:
-                where = f"about {lyapunov.saddle} at {lyapunov.energy:g} J"
-                raise GoalMissed(f"the sustained orbit {where}, which must be kept: {sustained.status}")
+                place = f"about {lyapunov.saddle} at {lyapunov.energy:g} J"
+                raise GoalMissed(f"the sustained orbit {place}, which must be kept: {sustained.status}")
             orbits[lyapunov.saddle] = sustained
     return orbits
 
@@ -293,14 +332,25 @@ def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) ->
 
     Flights that would be less than one period of the orbit apart are joined to one.
     """
-    single = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
-    cuts = [k + 1 for k, (before, after) in enumerate(pairwise(single)) if _periods(before, after) >= 1]
-    spans = pairwise([0, *cuts, len(chain)])
-    return [single[i] if j == i + 1 else _flight(part, chain, solver, i, j) for i, j in spans]
+    single_flights = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
+    separations = [k + 1 for k, (before, after) in enumerate(pairwise(single_flights)) if _periods(before, after) >= 1]
+    spans = pairwise([0, *separations, len(chain)])
+    return [single_flights[i] if j == i + 1 else _flight(part, chain, solver, i, j) for i, j in spans]
 
 
 def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, first: int, last: int) -> Goal:
-    """Return the flight of the symbols from `first` to before `last`."""
+    """Return the flight along some of a walk's symbols, between the orbits before and after them at phase zero.
+
+    Args:
+        part: the walk.
+        chain: connections of all its symbols.
+        solver: solver of their shadowing orbits.
+        first: index of the flight's first symbol.
+        last: index of the symbol after its last one.
+
+    Raises:
+        GoalMissed: its shadowing orbit did not converge.
+    """
     orbit = solver.solve(chain[first:last], part.wraps[first : last - 1], lead_in=0, lead_out=0)
     if not orbit.converged:
         raise solver.missed(orbit, "the shadowing orbit: ", first=first)
@@ -309,7 +359,10 @@ def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, fir
 
 
 def _periods(before: Goal, after: Goal) -> int:
-    """Return the whole periods between two flights for the stop's wraps, negative if the stop is too short."""
+    """Return the number of whole periods to stay on an orbit between two flights, so that the stop has its wraps.
+
+    It is negative if the stop is too short for both flights.
+    """
     assert after.wraps is not None
     gap = phase_gap(before.walk.connections[-1], after.walk.connections[0])
     return round(after.wraps + gap - _late(before) - _early(after))
@@ -318,9 +371,20 @@ def _periods(before: Goal, after: Goal) -> int:
 def _flown(
     itinerary: Itinerary, goal: Goal, orbits: dict[str, SustainedOrbit], lift: Array, progress: Progress
 ) -> SolvedPiece:
-    """Return the piece of a flight, `lift` (n,) added to its angles."""
-    rows = zip(goal.orbits, (goal.start, goal.end), strict=True)
-    start, end = (on_turns(orbits[which.saddle], state[: len(lift)] + lift) for which, state in rows)
+    """Return the solved piece of a flight between two sustained orbits.
+
+    Args:
+        itinerary: arms, limits and settings.
+        goal: the flight.
+        orbits: sustained orbits by saddle.
+        lift: angles (n,) added to those of the flight, rad.
+        progress: receiver of progress reports.
+
+    Raises:
+        GoalMissed: the flight was not found.
+    """
+    ends_of_flight = zip(goal.orbits, (goal.start, goal.end), strict=True)
+    start, end = (on_turns(orbits[end_orbit.saddle], state[: len(lift)] + lift) for end_orbit, state in ends_of_flight)
     problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions(start=start, end=end))
     reference = find_reference(problem, itinerary.reference, progress=progress)
     text = ", ".join(goal.symbols)
@@ -330,7 +394,7 @@ def _flown(
 
 
 def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
-    """Return the orbit's state (2n+2,) at phase 0.
+    """Return a sustained orbit's state (2n+2,) at phase 0, with the whole turns of given angles.
 
     Args:
         orbit: the sustained orbit.
@@ -348,7 +412,15 @@ def _assembled(
     pieces: list[SolvedPiece],
     orbits: dict[str, SustainedOrbit],
 ) -> Reference:
-    """Join stays and flights."""
+    """Return the reference of a walk with kept stops, joined from its stays and flights, with the content of its plan.
+
+    Args:
+        itinerary: itinerary of the walk.
+        part: the walk.
+        flights: goals of the flights (F,), in order.
+        pieces: solved flights (F,).
+        orbits: sustained orbits by saddle.
+    """
     # Runs are caught on the first orbit and judged on the last one, so each lasts at least one period.
     leads = (max(round(part.lead_in - _early(flights[0])), 1), max(round(part.lead_out - _late(flights[-1])), 1))
     counts = [leads[0], *(_periods(a, b) for a, b in pairwise(flights)), leads[1]]
@@ -395,7 +467,10 @@ def _sampled(orbit: SustainedOrbit) -> Array:
 def _counted_once(
     joined_reference: Reference, flights: list[Reference], orbits: dict[str, SustainedOrbit]
 ) -> Reference:
-    """Return the joined reference with each orbit's search cost counted once, since orbits can occur several times."""
+    """Return the joined reference with the search cost of each flight and orbit counted once.
+
+    `joined` adds up the costs of all parts, in which an orbit can occur several times.
+    """
     solved = [*flights, *(orbit.reference for orbit in orbits.values())]
     iterations, seconds = sum(piece.iterations for piece in solved), sum(piece.solve_seconds for piece in solved)
     ending = ReferenceEnding(
@@ -409,13 +484,16 @@ def _counted_once(
 
 
 def _rows(before: list[Reference], part: Reference) -> tuple[int, int]:
-    """Return a part's first interval and the interval after it, counted in the joined reference."""
+    """Return the first interval of a part and the interval after its last one, counted in the joined reference.
+
+    `before` holds the parts that precede it.
+    """
     first = sum(len(earlier.mesh) - 1 for earlier in before)
     return first, first + len(part.mesh) - 1
 
 
 def _kept_orbit(itinerary: Itinerary, part: OrbitPart, progress: Progress) -> Reference:
-    """Return the reference that stays on an orbit.
+    """Return the reference of a stay on a periodic orbit, repeated for whole periods, with the content of its plan.
 
     Raises:
         GoalMissed: the orbit was not found.
@@ -427,16 +505,22 @@ def _kept_orbit(itinerary: Itinerary, part: OrbitPart, progress: Progress) -> Re
     sustained = sustained_orbit(lyapunov, itinerary.model.arms.planned(), limits=itinerary.limits, progress=progress)
     if not sustained.converged:
         raise GoalMissed(f"the sustained orbit {place}: {sustained.status}")
-    period = sustained.reference
+    one_period = sustained.reference
     periods = max(1, round(part.seconds / sustained.period))
-    reference, _ = joined([period] * periods)
+    reference, _ = joined([one_period] * periods)
     reference = replace(
-        reference, ending=period.ending, iterations=period.iterations, solve_seconds=period.solve_seconds
+        reference, ending=one_period.ending, iterations=one_period.iterations, solve_seconds=one_period.solve_seconds
     )
     state = system.equilibrium(part.orbit)
     n = len(state) // 2
     stay = StaySegment(
-        part.orbit, part.energy, part.family, lyapunov.period, (0.0,) * (2 * n + 2), periods, (0, len(period.mesh) - 1)
+        part.orbit,
+        part.energy,
+        part.family,
+        lyapunov.period,
+        (0.0,) * (2 * n + 2),
+        periods,
+        (0, len(one_period.mesh) - 1),
     )
     orbit = PlanOrbit(part.orbit, part.energy, sustained.period, lyapunov.unstable_multiplier, _sampled(sustained))
     content = replace(

@@ -43,7 +43,11 @@ def rig_oddities(
 
 
 def _check_arms(loop: LoopSettings, arms: int) -> None:
-    """Check the settings that have a value for each arm, or count arms."""
+    """Reject settings that have a value for each arm or name an arm if they do not fit the number of arms.
+
+    Raises:
+        InputError: names the first such setting.
+    """
     if loop.sensors.stuck_sensor > arms:
         raise loop.sensors.refusal(
             "stuck_sensor", f"must be 0 to {arms}: 0 is the encoder of the inner arm, {arms} the cart's"

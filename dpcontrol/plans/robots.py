@@ -60,7 +60,7 @@ class Robot:
 
 
 def load_robot(path: Path) -> Robot:
-    """Return the arms of a robot.
+    """Return the arms of a robot that is described in URDF or MJCF.
 
     Args:
         path: file in URDF or MJCF.
@@ -70,45 +70,50 @@ def load_robot(path: Path) -> Robot:
     """
     mujoco = part("mujoco")
     try:
-        m = mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise InputError(f"{path}: MuJoCo cannot compile it: {' '.join(str(error).split())}") from error
-    pose = mujoco.MjData(m)
+    pose = mujoco.MjData(model)
     # With all actuators at their limits, the force on the slider is the drive's largest.
-    pose.ctrl[:] = m.actuator_ctrlrange[:, 1]
-    m.opt.gravity *= not m.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-    mujoco.mj_forward(m, pose)
-    for wrong, text in _flaws(m, pose):
-        if wrong:
+    pose.ctrl[:] = model.actuator_ctrlrange[:, 1]
+    model.opt.gravity *= not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    mujoco.mj_forward(model, pose)
+    for applies, text in _flaws(model, pose):
+        if applies:
             raise InputError(f"{path}: {text}; {_CHAIN}")
-    *numbers, angles, turns, _ = _arms(m, pose).T.tolist()
-    columns = dict(zip(_COLUMNS, numbers, strict=True))
+    *parameters, angles, turns, _ = _arms(model, pose).T.tolist()
+    columns = dict(zip(_COLUMNS, parameters, strict=True))
     # A slider and a hinge of one body are a cart without mass.
-    bodies = (m.body_weldid == m.jnt_bodyid[0]) & (m.body_weldid != m.jnt_bodyid[_first(m)])
-    cart = float(m.body_mass[bodies].sum() + m.dof_armature[: _first(m)].sum())
-    gravity = float(np.linalg.norm(_plane(m, pose)[2]))
-    return Robot(columns, gravity, angles, turns, cart, tuple(_differences(m, pose, cart)))
+    cart_bodies = (model.body_weldid == model.jnt_bodyid[0]) & (model.body_weldid != model.jnt_bodyid[_first(model)])
+    cart_mass = float(model.body_mass[cart_bodies].sum() + model.dof_armature[: _first(model)].sum())
+    gravity = float(np.linalg.norm(_plane(model, pose)[2]))
+    return Robot(columns, gravity, angles, turns, cart_mass, tuple(_differences(model, pose, cart_mass)))
 
 
 def _first(m: Any) -> int:
-    """Return the number of the first hinge, which follows the slider, if any."""
+    """Return the number of the first hinge in MuJoCo's model `m`, which follows the slider, if there is one."""
     return int(m.njnt > 0 and m.jnt_type[0] == _SLIDE)
 
 
 def _name(m: Any, joint: int) -> str:
+    """Return the name of a joint of MuJoCo's model `m`, or its number if it has none."""
     return m.joint(joint).name or f"joint {joint + 1}"
 
 
 def _flaws(m: Any, pose: Any) -> Iterator[tuple[bool, str]]:
-    """Yield what no model has, in an order in which each check needs the ones before, and whether the robot has it."""
+    """Yield the properties that exclude a planar chain, each with True if the robot has it.
+
+    The order is such that each check needs the ones before. `m` is MuJoCo's model and `pose` its state at the reference
+    positions.
+    """
     first = _first(m)
     for k in range(m.njnt):
         name, body = _name(m, k), m.jnt_bodyid[k]
         yield k >= first and m.jnt_type[k] != _HINGE, f"{name} is no hinge"
         yield k > 0 and m.dof_parentid[k] != k - 1, f"{name} does not follow {_name(m, max(k - 1, 0))}"
         yield k > first and body == m.jnt_bodyid[k - 1], f"{name} is the second hinge of a body"
-        torques = m.jnt_stiffness[k], *m.jnt_stiffnesspoly[k], *m.dof_dampingpoly[k], m.body_gravcomp[body]
-        yield k >= first and any(torques), f"{name} has a spring, nonlinear damping or compensated gravity"
+        joint_torques = m.jnt_stiffness[k], *m.jnt_stiffnesspoly[k], *m.dof_dampingpoly[k], m.body_gravcomp[body]
+        yield k >= first and any(joint_torques), f"{name} has a spring, nonlinear damping or compensated gravity"
     yield m.njnt == first, "there is no hinge"
     yield m.neq + m.ntendon + m.nflex > 0, "there are equality constraints, tendons or flexible bodies"
     _, _, gravity, tilt = _plane(m, pose)
@@ -117,24 +122,35 @@ def _flaws(m: Any, pose: Any) -> Iterator[tuple[bool, str]]:
         tilt > _PARALLEL,
         f"axes deviate by {tilt:.3g} rad: hinges must be parallel, and a slider level and across them",
     )
-    for k, (_, reach, length, *_, aside) in enumerate(_arms(m, pose), start=first):
-        place = f"{reach:.4g} m along and {aside:.4g} m beside the line to the next joint"
-        yield not (reach > 0 and aside <= _ASIDE * length), f"the centre of mass of the arm at {_name(m, k)} is {place}"
+    for k, (_, along_line, length, *_, beside_line) in enumerate(_arms(m, pose), start=first):
+        position = f"{along_line:.4g} m along and {beside_line:.4g} m beside the line to the next joint"
+        yield (
+            not (along_line > 0 and beside_line <= _ASIDE * length),
+            f"the centre of mass of the arm at {_name(m, k)} is {position}",
+        )
 
 
 def _plane(m: Any, pose: Any) -> tuple[Array, Array, Array, float]:
-    """Return directions x and y (3,), gravity in the plane of motion (3,), m/s², and the largest tilt of axes, rad."""
+    """Return the plane in which a robot moves, and the deviation of its axes from it.
+
+    Args:
+        m: MuJoCo's model.
+        pose: its state at the reference positions.
+
+    Returns:
+        Directions x and y (3,), gravity in the plane of motion (3,), m/s², and the largest tilt of axes, rad.
+    """
     first = _first(m)
     hinge = pose.xaxis[first]
     gravity = m.opt.gravity - (m.opt.gravity @ hinge) * hinge
     across = -hinge if first and np.cross(gravity, pose.xaxis[0]) @ hinge < 0 else hinge
     along = np.cross(across, gravity / max(np.linalg.norm(gravity), 1e-300))
-    away = [np.cross(axis, along if k < first else across) for k, axis in enumerate(pose.xaxis)]
-    return along, across, gravity, float(np.arcsin(min(np.linalg.norm(away, axis=1).max(), 1.0)))
+    deviations = [np.cross(axis, along if k < first else across) for k, axis in enumerate(pose.xaxis)]
+    return along, across, gravity, float(np.arcsin(min(np.linalg.norm(deviations, axis=1).max(), 1.0)))
 
 
 def _arms(m: Any, pose: Any) -> Array:
-    """Return the numbers of the arms (n, 9).
+    """Return the numbers of a robot's arms (n, 9), from MuJoCo's model `m` and its state `pose`.
 
     Mass, centre of mass, length, inertia, viscous and dry friction, angle, turn, and the distance of the centre of mass
     from the line between joints, m.
@@ -148,30 +164,41 @@ def _arms(m: Any, pose: Any) -> Array:
         centre, axes = masses @ centres / masses.sum(), pose.ximat[bodies].reshape(-1, 3, 3)
         inertia = np.sum((across @ axes) ** 2 * m.body_inertia[bodies]) + masses @ ((centres - centre) ** 2).sum(axis=1)
         inertia += m.dof_armature[k] * (k == first)
-        out, last = centre - joints[k], k + 1 == m.njnt
-        line = out if last else joints[k + 1] - joints[k]
+        offset, is_last = centre - joints[k], k + 1 == m.njnt
+        line = offset if is_last else joints[k + 1] - joints[k]
         length = np.linalg.norm(line)
-        x, down = line / max(length, 1e-300)
-        reach, aside = x * out[0] + down * out[1], abs(x * out[1] - down * out[0])
-        end = reach + np.sqrt(3 * inertia / masses.sum()) if last else length
+        line_x, line_down = line / max(length, 1e-300)
+        along_line, beside_line = (
+            line_x * offset[0] + line_down * offset[1],
+            abs(line_x * offset[1] - line_down * offset[0]),
+        )
+        arm_length = along_line + np.sqrt(3 * inertia / masses.sum()) if is_last else length
         turn = np.sign(pose.xaxis[k] @ across)
         friction = m.dof_damping[k], m.dof_frictionloss[k]
-        rows.append([masses.sum(), reach, end, inertia, *friction, np.arctan2(x, down), turn, aside])
+        rows.append(
+            [masses.sum(), along_line, arm_length, inertia, *friction, np.arctan2(line_x, line_down), turn, beside_line]
+        )
     return np.array(rows)
 
 
 def _differences(m: Any, pose: Any, cart: float) -> Iterator[str]:
-    """Yield sentences on angles and cart, and on what is left out or replaced."""
+    """Yield the sentences on a robot's joint angles and cart, and on what the model leaves out or replaces.
+
+    Args:
+        m: MuJoCo's model.
+        pose: its state at the reference positions.
+        cart: mass of the cart, kg, 0 without a slider.
+    """
     arms, first = _arms(m, pose), _first(m)
-    constants = np.diff(arms[:, 6], prepend=0.0) - arms[:, 7] * m.qpos0[first:]
-    for k, constant in enumerate(np.angle(np.exp(1j * constants))):
+    joint_offsets = np.diff(arms[:, 6], prepend=0.0) - arms[:, 7] * m.qpos0[first:]
+    for k, offset in enumerate(np.angle(np.exp(1j * joint_offsets))):
         before = f"angle_{k} + " if k else ""
-        yield f"angle_{k + 1} = {before}{constant:.12g} {'+' if arms[k, 7] > 0 else '-'} {_name(m, first + k)}"
-    total, hinges = cart + arms[:, 0].sum(), slice(first, None)
+        yield f"angle_{k + 1} = {before}{offset:.12g} {'+' if arms[k, 7] > 0 else '-'} {_name(m, first + k)}"
+    total_mass, hinges = cart + arms[:, 0].sum(), slice(first, None)
     force = abs(pose.qfrc_actuator[0]) if m.nu else m.jnt_actfrcrange[0].max()
-    drive = f"{force:g} N, {force / total:.3g} m/s² for {total:.4g} kg in all"
-    rubbing = f"{m.dof_damping[0]:g} N s/m and {m.dof_frictionloss[0]:g} N"
-    touching = (m.geom_contype[:, None] & m.geom_conaffinity) * (m.geom_bodyid[:, None] != m.geom_bodyid)
+    drive = f"{force:g} N, {force / total_mass:.3g} m/s² for {total_mass:.4g} kg in all"
+    slider_friction = f"{m.dof_damping[0]:g} N s/m and {m.dof_frictionloss[0]:g} N"
+    contacts = (m.geom_contype[:, None] & m.geom_conaffinity) * (m.geom_bodyid[:, None] != m.geom_bodyid)
     *_, gravity, tilt = _plane(m, pose)
     tilt = max(tilt, np.arccos(min(np.linalg.norm(gravity) / np.linalg.norm(m.opt.gravity), 1.0)))
     notes = {
@@ -180,8 +207,8 @@ def _differences(m: Any, pose: Any, cart: float) -> Iterator[str]:
         f"the cart moves from {m.jnt_range[0][0]:g} to {m.jnt_range[0][1]:g} m: set limits.position": first
         and m.jnt_limited[0],
         f"the cart's drive has {drive}: set limits.acceleration, see `dpcontrol guide drives`": first and force > 0,
-        f"left out: friction of the slider, {rubbing}": first and m.dof_damping[0] + m.dof_frictionloss[0] > 0,
-        "left out: contacts": touching.any() or m.npair > 0,
+        f"left out: friction of the slider, {slider_friction}": first and m.dof_damping[0] + m.dof_frictionloss[0] > 0,
+        "left out: contacts": contacts.any() or m.npair > 0,
         "left out: drag of the medium": m.opt.density > 0 or m.opt.viscosity > 0,
         "left out: actuators other than the slider's": np.any(m.actuator_trnid[:, 0] >= first),
         "left out: limits of hinges": np.any(m.jnt_limited[hinges]),

@@ -148,37 +148,38 @@ def find_transfers(
         GoalMissed: some do not exist within the limits; the message has the cause.
     """
     references: dict[str, Reference] = {}
-    left: dict[str, Transfer] = {}
+    uncached: dict[str, Transfer] = {}
     for transfer in wanted:
         if not fresh and (stored := kept(transfer.file)) is not None:
             references[transfer.key] = load_reference(BytesIO(stored))
         else:
-            left[transfer.key] = transfer
-    missed: list[str] = []
-    several = list(left.values())
-    workers = workers or (processors() if len(several) >= _SEVERAL else 1)
-    alone = workers == 1
-    for k, (transfer, (archive, why)) in enumerate(_sought(several, workers, progress)):
-        if not alone:
-            progress(f"{k + 1} of {len(left)} transfers: {transfer.text}", (k + 1) / len(left))
-        if why:
-            missed.append(f"{transfer.text}: {why}" if transfer.text else why)
+            uncached[transfer.key] = transfer
+    failures: list[str] = []
+    searches = list(uncached.values())
+    workers = workers or (processors() if len(searches) >= _SEVERAL else 1)
+    in_this_process = workers == 1
+    for k, (transfer, (archive, reason)) in enumerate(_sought(searches, workers, progress)):
+        if not in_this_process:
+            progress(f"{k + 1} of {len(uncached)} transfers: {transfer.text}", (k + 1) / len(uncached))
+        if reason:
+            failures.append(f"{transfer.text}: {reason}" if transfer.text else reason)
             continue
         keep(transfer.file, archive)
         references[transfer.key] = load_reference(BytesIO(archive))
-    if missed:
-        more = f"; nor are there {len(missed) - 1} more, the others are kept" if len(missed) > 1 else ""
-        raise GoalMissed(missed[0] + more)
+    if failures:
+        further_failures = f"; nor are there {len(failures) - 1} more, the others are kept" if len(failures) > 1 else ""
+        raise GoalMissed(failures[0] + further_failures)
     return references
 
 
 def _sought(
     wanted: Sequence[Transfer], workers: int, progress: Progress
 ) -> Iterator[tuple[Transfer, tuple[bytes, str]]]:
+    """Yield each transfer with the result of its `search`, in separate processes if there are several transfers."""
     if workers > 1 and len(wanted) > 1:
         return in_processes(search, wanted, min(workers, len(wanted)))
-    parts = (part_of(progress, k / len(wanted), (k + 1) / len(wanted)) for k in range(len(wanted)))
-    return ((transfer, search(transfer, portion)) for transfer, portion in zip(wanted, parts, strict=True))
+    portions = (part_of(progress, k / len(wanted), (k + 1) / len(wanted)) for k in range(len(wanted)))
+    return ((transfer, search(transfer, portion)) for transfer, portion in zip(wanted, portions, strict=True))
 
 
 _ONE_AT_A_TIME = threading.Lock()
@@ -186,14 +187,18 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, str]:
-    """Return the bytes of a transfer's .npz file, or the cause of its absence.
+    """Return the bytes of a found transfer's .npz file, or the cause of its absence, in a form that processes exchange.
 
     Args:
         wanted: the transfer.
         progress: receiver of progress reports.
+
+    Returns:
+        The bytes and "", or no bytes and the cause.
     """
 
     def report(_: str, done: float) -> None:
+        """Report the completed share under the transfer's own name."""
         progress(wanted.text, done)
 
     archive = BytesIO()
@@ -206,7 +211,7 @@ def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, s
 
 
 def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Reference:
-    """Return a transfer from the best of its first motions.
+    """Return the reference of a transfer: of several solved first motions, the best one that can be refined.
 
     Args:
         wanted: the transfer.
@@ -215,74 +220,91 @@ def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Referen
     Raises:
         GoalMissed: there is none within the limits.
     """
-    scale, failed, durations = Scale.of(wanted.arms), "no first motion leads there", np.zeros(0)
-    factors, arms = scale.state(wanted.arms.count), wanted.arms.scaled(scale.length, scale.time)
-    start, *ends = (factors * state for state in (wanted.start, *wanted.ends))
-    aside, earlier = np.allclose(start[:-2], ends[0][:-2]), list[tuple[Trajectory, Array]]()
-    attempts = _attempts(wanted, scale, aside=aside)
+    # The search is done in the units of the laboratory's arms, see module `candidates`.
+    scale, failure, durations = Scale.of(wanted.arms), "no first motion leads there", np.zeros(0)
+    state_units, arms = scale.state(wanted.arms.count), wanted.arms.scaled(scale.length, scale.time)
+    start, *ends = (state_units * state for state in (wanted.start, *wanted.ends))
+    is_side_step, similar_motions = np.allclose(start[:-2], ends[0][:-2]), list[tuple[Trajectory, Array]]()
+    attempts = _attempts(wanted, scale, aside=is_side_step)
     if wanted.near is not None:
-        begin = np.array(wanted.start)
-        _, end = _between(wanted.near, begin, np.array(wanted.ends))
-        near = turned(wanted.near, -whole_turns((wanted.near.states[0, 0] - begin)[: arms.count]))
-        first = Trajectory(near.method, near.mesh * scale.time, near.states * factors, near.inputs * scale.acceleration)
-        earlier, attempts = [(first, factors * end)], [(TIGHT, np.zeros(0), False), *attempts]
-    for share, durations, flies in attempts:
-        room = scale.limits(wanted.limits, share)
-        ways = [Way(arms, scale.limits(wanted.limits), room, start, ends[0], backwards) for backwards in (False, True)]
-        fixed = wanted.pace != SHORTEST
-        firsts = (
-            flights_between(ways, ends, durations, fixed=fixed)
-            if flies
-            else [*earlier, *smooth_motions(start, ends, durations)]
+        unscaled_start = np.array(wanted.start)
+        _, end = _between(wanted.near, unscaled_start, np.array(wanted.ends))
+        similar = turned(wanted.near, -whole_turns((wanted.near.states[0, 0] - unscaled_start)[: arms.count]))
+        first_motion = Trajectory(
+            similar.method, similar.mesh * scale.time, similar.states * state_units, similar.inputs * scale.acceleration
         )
-        earlier = []
-        solved: list[tuple[ReferenceProblem, Trajectory]] = []
-        for k, (first, end) in enumerate(firsts):
-            progress("transfer", k / len(firsts))
-            problem = _problem(arms, room, first, (start, end))
-            attempt = solve(problem, first, settings=_COARSE, limits=room, search="rough")
+        similar_motions, attempts = [(first_motion, state_units * end)], [(TIGHT, np.zeros(0), False), *attempts]
+    for share, durations, from_flights in attempts:
+        flight_limits = scale.limits(wanted.limits, share)
+        ways = [
+            Way(arms, scale.limits(wanted.limits), flight_limits, start, ends[0], backwards)
+            for backwards in (False, True)
+        ]
+        fixed = wanted.pace != SHORTEST
+        first_motions = (
+            flights_between(ways, ends, durations, fixed=fixed)
+            if from_flights
+            else [*similar_motions, *smooth_motions(start, ends, durations)]
+        )
+        similar_motions = []
+        coarse_solutions: list[tuple[ReferenceProblem, Trajectory]] = []
+        for k, (first_motion, end) in enumerate(first_motions):
+            progress("transfer", k / len(first_motions))
+            problem = _problem(arms, flight_limits, first_motion, (start, end))
+            attempt = solve(problem, first_motion, settings=_COARSE, limits=flight_limits, search="rough")
             if attempt.succeeded:
-                solved.append((problem, attempt.trajectory))
-            failed = attempt.outcome
-        solved = sorted(solved, key=lambda candidate: candidate[1].effort if fixed else candidate[1].duration)[:_RANKED]
-        for problem, motion in sorted(solved, key=lambda candidate: _rank(wanted, arms, candidate[1])):
+                coarse_solutions.append((problem, attempt.trajectory))
+            failure = attempt.outcome
+        coarse_solutions = sorted(
+            coarse_solutions, key=lambda candidate: candidate[1].effort if fixed else candidate[1].duration
+        )[:_RANKED]
+        for problem, motion in sorted(coarse_solutions, key=lambda candidate: _rank(wanted, arms, candidate[1])):
             reference = refined_transfer(problem, motion, wanted.settings, cart_weight=CART_WEIGHT)
             if reference.converged:
                 return replace(
                     reference,
                     mesh=reference.mesh / scale.time,
-                    states=reference.states / factors,
+                    states=reference.states / state_units,
                     inputs=reference.inputs / scale.acceleration,
                     limits=wanted.limits,
                 )
-            failed = reference.status
-    raise _missed(wanted, np.asarray(durations / scale.time), failed)
+            failure = reference.status
+    raise _missed(wanted, np.asarray(durations / scale.time), failure)
 
 
 def _attempts(wanted: Transfer, scale: Scale, *, aside: bool) -> list[tuple[float, Array, bool]]:
-    """Return shares of the limits, durations, s, and True to start from flights, in the order of the attempts."""
+    """Return the attempts of a search for a transfer, in order, each with its share of the limits and its durations.
+
+    Args:
+        wanted: the transfer.
+        scale: natural units of its arms.
+        aside: True if only the cart moves, from one place to another.
+
+    Returns:
+        Shares of the limits, durations (D,), s, and True to start from flights instead of smooth motions.
+    """
     # Three arms and more have many directions, and use the longer durations.
-    several = MULTIPLES[2 * (wanted.arms.count > 2) :] * NATURAL_TIME
+    gentle_durations = MULTIPLES[2 * (wanted.arms.count > 2) :] * NATURAL_TIME
     fallbacks = [(ROOM, SHORTER * NATURAL_TIME, False), (TIGHT, LONGER * NATURAL_TIME, False)]
     if aside and wanted.pace == GENTLE:
-        return [(ROOM, several[:1], False), (ROOM, several[1:], False), *fallbacks]
+        return [(ROOM, gentle_durations[:1], False), (ROOM, gentle_durations[1:], False), *fallbacks]
     if wanted.pace == GENTLE:
-        return [(ROOM, several, False), *fallbacks, (ROOM, several, True)]
+        return [(ROOM, gentle_durations, False), *fallbacks, (ROOM, gentle_durations, True)]
     if isinstance(wanted.pace, str):
-        return [(TIGHT, SHORT * NATURAL_TIME, True), (TIGHT, several, False)]
+        return [(TIGHT, SHORT * NATURAL_TIME, True), (TIGHT, gentle_durations, False)]
     time = np.array([wanted.pace * scale.time])
     return [(ROOM, time, True), (TIGHT, time, True), (TIGHT, time, False)]
 
 
 def _rank(wanted: Transfer, arms: ArmChainParameters, motion: Trajectory) -> float:
-    """Return the rank of a motion, the best first."""
+    """Return the rank of a solved motion among several, the smallest of which is refined first."""
     return motion.duration if wanted.pace == SHORTEST else sensitivity(arms, motion) ** 2 * motion.effort
 
 
 def _problem(
     arms: ArmChainParameters, limits: Limits, first: Trajectory, ends: tuple[Array, Array]
 ) -> ReferenceProblem:
-    """Return the problem of a transfer that starts from a first motion."""
+    """Return the optimisation problem of a transfer between two states `ends` (N,), guessed by a first motion."""
     return ReferenceProblem(
         equations_of(arms, Level.CART),
         arms.base(),
@@ -294,7 +316,13 @@ def _problem(
 
 
 def _missed(wanted: Transfer, durations: Array, failed: str) -> GoalMissed:
-    """Return the error of a transfer that was not found in these durations."""
+    """Return the error of a transfer that was not found, with the obstacle that explains it.
+
+    Args:
+        wanted: the transfer.
+        durations: durations that were tried last, s.
+        failed: outcome of the last attempt.
+    """
     start, end = np.array(wanted.start), np.array(wanted.ends[0])
     ((first, _),) = smooth_motions(start, [end], durations[:1])
     problem = _problem(wanted.arms, wanted.limits, first, (start, end))
@@ -308,16 +336,19 @@ def _missed(wanted: Transfer, durations: Array, failed: str) -> GoalMissed:
 
 
 def _between(motion: Reference, start: Array, ends: Sequence[Array] | Array) -> tuple[float, Array]:
-    """Return the distance of a motion's ends from a start and the nearest of several ends, whole turns apart."""
+    """Return the distance of a motion's ends from a required start and the nearest of several ends, and that end (N,).
+
+    Whole turns of the motion do not count. A stored motion with a small distance is a good first motion.
+    """
     n = len(start) // 2 - 1
     turns = np.pad(whole_turns((motion.states[0, 0] - start)[:n]), (0, n + 2))
-    away = [float(np.abs(motion.states[-1, -1] - turns - end).max()) for end in ends]
-    nearest = int(np.argmin(away))
-    return away[nearest] + float(np.abs(motion.states[0, 0] - turns - start).max()), np.asarray(ends[nearest])
+    end_distances = [float(np.abs(motion.states[-1, -1] - turns - end).max()) for end in ends]
+    nearest = int(np.argmin(end_distances))
+    return end_distances[nearest] + float(np.abs(motion.states[0, 0] - turns - start).max()), np.asarray(ends[nearest])
 
 
 def turned(reference: Reference, angles: Array) -> Reference:
-    """Return a reference with `angles` (n,) added.
+    """Return a reference with angles added to its states, such as whole turns, which leave its motion the same.
 
     Args:
         reference: the reference.
@@ -329,7 +360,7 @@ def turned(reference: Reference, angles: Array) -> Reference:
 
 
 def transfer_costs(transfers: Sequence[tuple[str, float, Reference]]) -> tuple[TransferCost, ...]:
-    """Return the costs of transfers.
+    """Return the time, effort and stroke of each transfer of a plan.
 
     Args:
         transfers: text, begin in s and motion of each transfer.
@@ -340,6 +371,6 @@ def transfer_costs(transfers: Sequence[tuple[str, float, Reference]]) -> tuple[T
 
 
 def _stroke(motion: Reference) -> float:
-    """Return the distance between the cart's extreme places, m."""
+    """Return the distance between the cart's extreme places in a motion, m."""
     times = motion.mesh[0] + np.linspace(0.0, motion.duration, round(motion.duration / _SAMPLING) + 1)
     return float(np.ptp(motion.state(times)[:, -2]))

@@ -52,16 +52,16 @@ def working(bits: int) -> Iterator[None]:
         bits: precision, bits.
     """
     context = flint.ctx
-    before = context.prec, context.cap
+    settings_before = context.prec, context.cap
     context.prec = bits
     try:
         yield
     finally:
-        context.prec, context.cap = before
+        context.prec, context.cap = settings_before
 
 
 def ball(value: Any) -> Any:
-    """Return a number as a ball, exactly if possible.
+    """Return a number as a ball of flint, exactly if it is a fraction or a double.
 
     Args:
         value: ball, fraction, or any number that converts to float.
@@ -72,7 +72,7 @@ def ball(value: Any) -> Any:
 
 
 def symmetric(radius: Any) -> Any:
-    """Return the ball about zero with the given radius.
+    """Return the ball about zero with the given radius, as a bound of an error of unknown sign.
 
     Args:
         radius: number or ball, of which the upper bound counts.
@@ -81,7 +81,7 @@ def symmetric(radius: Any) -> Any:
 
 
 def largest(values: Sequence[Any]) -> Any:
-    """Return the largest modulus, 0 without values.
+    """Return the largest modulus of several balls as a ball, 0 without values.
 
     Args:
         values: balls (K,).
@@ -90,7 +90,7 @@ def largest(values: Sequence[Any]) -> Any:
 
 
 def folded(value: Any, period: Any) -> Any:
-    """Return a ball minus the nearest multiple of a period.
+    """Return a ball minus the multiple of a period that is nearest to its midpoint, to compare angles.
 
     Args:
         value: ball.
@@ -100,7 +100,7 @@ def folded(value: Any, period: Any) -> Any:
 
 
 def exact(value: Any, digits: int = 40) -> Fraction:
-    """Return the rounded midpoint of a ball.
+    """Return the midpoint of a ball, rounded to decimal digits, as an exact number that certificates can state.
 
     Args:
         value: ball or number.
@@ -136,7 +136,7 @@ def number(text: Any) -> Any:
 
 
 def decimal(value: Fraction) -> str:
-    """Return the decimal digits of a fraction.
+    """Return all decimal digits of an exact number, as certificates hold it.
 
     Args:
         value: fraction with finitely many decimal digits.
@@ -157,7 +157,7 @@ def bound(value: Any, *, lower: bool = False) -> str:
 
 
 def columns(rows: Sequence[Sequence[Any]]) -> Any:
-    """Return a matrix of balls from its rows.
+    """Return a matrix of flint from rows of numbers or balls.
 
     Args:
         rows: numbers or balls (M, N).
@@ -171,14 +171,16 @@ def identity() -> Any:
 
 
 def _power(base: Any, exponent: Any) -> Any:
-    twice = 2 * exponent
-    if not (isinstance(twice, flint.arb) and twice.is_integer()):
+    """Return a ball, complex ball or series raised to a power; whole and half powers need no logarithm."""
+    doubled_exponent = 2 * exponent
+    if not (isinstance(doubled_exponent, flint.arb) and doubled_exponent.is_integer()):
         return (_branch(base, "log") * exponent).exp()
-    doubled = int(float(twice))
-    return base ** (doubled // 2) if doubled % 2 == 0 else _branch(base, "sqrt") ** doubled
+    half_powers = int(float(doubled_exponent))
+    return base ** (half_powers // 2) if half_powers % 2 == 0 else _branch(base, "sqrt") ** half_powers
 
 
 def _branch(x: Any, name: str) -> Any:
+    """Return the function of flint with this name, "log" or "sqrt", of a ball, complex ball or series."""
     # Root and logarithm are not analytic across their branch cuts. In this case flint returns NaN.
     return getattr(x, name)(analytic=True) if isinstance(x, flint.acb) else getattr(x, name)()
 
@@ -220,15 +222,19 @@ class Instructions:
     outputs: tuple[tuple[int | None, ...], ...]
 
     def __call__(self, state: Sequence[Any]) -> list[list[Any]]:
-        """Return the entries of each output in column-major order."""
-        work = [*state, *self.start[len(state) :]]
-        for operation, into, arguments in self.steps:
-            work[into] = operation(*[work[i] for i in arguments])
-        return [[flint.arb(0) if i is None else work[i] for i in output] for output in self.outputs]
+        """Run the operations on a state, and return the entries of each output in column-major order.
+
+        Args:
+            state: numbers, balls, complex balls or series (N,).
+        """
+        values = [*state, *self.start[len(state) :]]
+        for operation, result, arguments in self.steps:
+            values[result] = operation(*[values[i] for i in arguments])
+        return [[flint.arb(0) if i is None else values[i] for i in output] for output in self.outputs]
 
 
 def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: Sequence[Fraction]) -> Instructions:
-    """Return the program of casadi expressions with exact parameter values.
+    """Return the program that evaluates casadi expressions in ball arithmetic, with exact parameter values.
 
     Args:
         state: symbols (N,).
@@ -245,6 +251,7 @@ def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: S
     steps: list[tuple[Callable[..., Any], int, tuple[int, ...]]] = []
 
     def applied(operation: Callable[..., Any], *arguments: int) -> int:
+        """Record an operation on numbered values, or compute it now if all are constants; return its result's index."""
         constant = all(constants[i] is not None for i in arguments)
         constants.append(operation(*[constants[i] for i in arguments]) if constant else None)
         if not constant:
@@ -252,6 +259,7 @@ def program(state: ca.SX, parameters: ca.SX, outputs: Sequence[ca.SX], values: S
         return len(constants) - 1
 
     def operated(code: int, *arguments: int) -> int:
+        """Record an operation by casadi's code, and return its result's index."""
         if code in (ca.OP_SIN, ca.OP_COS):
             # Sine and cosine of an angle are computed together.
             if arguments[0] not in angles:

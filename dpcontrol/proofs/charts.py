@@ -44,17 +44,17 @@ class SectionChart:
         return columns(self.basis).inv().tolist()
 
     def coordinates(self, state: Vector, shift: Vector) -> Vector:
-        """Return (y_1, y_2, height above the section, z) of a shifted state.
+        """Return the coordinates (y_1, y_2, height above the section, z) of a state in this chart.
 
         Args:
             state: balls (N,).
-            shift: subtracted from the state (N,).
+            shift: whole turns of the chart, subtracted from the state (N,).
         """
-        away = [x - ball(c) - t for x, c, t in zip(state, self.node, shift, strict=True)]
-        return [dot(row, away) for row in self.rows]
+        difference = [x - ball(c) - t for x, c, t in zip(state, self.node, shift, strict=True)]
+        return [dot(row, difference) for row in self.rows]
 
     def place(self, y: Vector, z: Any) -> Vector:
-        """Return x̄ + u y_1 + s y_2 + w z.
+        """Return the state x̄ + u y_1 + s y_2 + w z (N,) at coordinates of this chart.
 
         Args:
             y: y_1 and y_2 (2,).
@@ -64,12 +64,15 @@ class SectionChart:
         return [ball(c) + u[i] * y[0] + s[i] * y[1] + w[i] * z for i, c in enumerate(self.node)]
 
     def lift(self, field: Field, energy: Any, y: Vector) -> tuple[Vector, Any]:
-        """Return the states of given energy over a box y, and z.
+        """Return the states of given energy over a box of coordinates y, in which the energy determines z.
 
         Args:
             field: programs of the system.
             energy: ball, in the system's unit.
             y: box (2,).
+
+        Returns:
+            Box of states (N,), and an interval that contains z.
 
         Raises:
             NotClosed: the interval Newton method does not prove a unique z.
@@ -77,6 +80,7 @@ class SectionChart:
         guess = interval = flint.arb(0)
         for _ in range(8):
             slope = dot(field.gradient(self.place(y, interval)), self.columns[3])
+            # One step of the interval Newton method; `refined` holds each z over the box if it lies in `interval`.
             refined = guess - (field.energy(self.place(y, guess))[0][0] - energy) / slope
             if refined in interval and refined.is_finite():
                 return self.place(y, refined), interval
@@ -85,19 +89,20 @@ class SectionChart:
         raise NotClosed("the energy does not fix a node's section")
 
     def tangents(self, field: Field, state: Vector) -> Any:
-        """Return ∂x/∂y and the change with the energy (N, 3) over a box of states.
+        """Return the derivatives (N, 3) of the chart's states by y_1, y_2 and the energy, over a box of states.
 
         Args:
             field: programs of the system.
             state: box of states (N,).
         """
         u, s, _, w = self.columns
+        # At fixed energy, z changes with y by -H_u/H_w and -H_s/H_w.
         gradient = field.gradient(state)
-        across = dot(gradient, w)
-        along = [dot(gradient, t) / across for t in (u, s)]
-        flat = [[u[i] - w[i] * along[0], s[i] - w[i] * along[1]] for i in range(len(w))]
+        slope_w = dot(gradient, w)
+        slope_ratios = [dot(gradient, t) / slope_w for t in (u, s)]
+        plane_rows = [[u[i] - w[i] * slope_ratios[0], s[i] - w[i] * slope_ratios[1]] for i in range(len(w))]
         tilt = [ball(v) for v in self.tilt]
-        return columns([[*row, dot(row, tilt) + w[i] / across] for i, row in enumerate(flat)])
+        return columns([[*row, dot(row, tilt) + w[i] / slope_w] for i, row in enumerate(plane_rows)])
 
 
 @dataclass(frozen=True)
@@ -137,7 +142,7 @@ class Passage:
 
 
 def passage(field: Field, normal: Vector, height: Any, state: Vector) -> Passage:
-    """Enclose a section crossing of states at small height.
+    """Enclose the crossing of a section by all states of a box at small height above it.
 
     Args:
         field: programs of the system.
@@ -148,24 +153,25 @@ def passage(field: Field, normal: Vector, height: Any, state: Vector) -> Passage
     Raises:
         NotClosed: no invariant box closes, or the crossing is not proved to be unique.
     """
-    unclear = NotClosed("the enclosure of a section's crossing does not close")
+    failure = NotClosed("the enclosure of a section's crossing does not close")
     rates = field.rate(state)[0]
     longest = (3 * height / dot(normal, rates)).abs_upper() + flint.arb(1) / 10**30
-    within = symmetric(longest)
+    times = symmetric(longest)
+    # By Picard's theorem, a box that contains its image holds all solutions during these times.
     for _ in range(5):
-        around = [x + 2 * within * symmetric(f) for x, f in zip(state, rates, strict=True)]
-        rates, slopes = field.slopes(around)
-        if all((x + within * f) in b for x, f, b in zip(state, rates, around, strict=True)):
+        crossing_box = [x + 2 * times * symmetric(f) for x, f in zip(state, rates, strict=True)]
+        rates, slopes = field.slopes(crossing_box)
+        if all((x + times * f) in b for x, f, b in zip(state, rates, crossing_box, strict=True)):
             break
     else:
-        raise unclear
+        raise failure
     speed = dot(normal, rates)
     if not longest * abs(speed) > abs(height):
-        raise unclear
+        raise failure
     time = -height / speed
-    grown = columns([[v.abs_upper() for v in row] for row in field.matrix(slopes)]) * time.abs_upper()
-    late = [symmetric(v) for v in (grown.exp() - identity()).entries()]
-    return Passage(time, around, rates, identity() + flint.arb_mat(4, 4, late))
+    growth = columns([[v.abs_upper() for v in row] for row in field.matrix(slopes)]) * time.abs_upper()
+    deviation = [symmetric(v) for v in (growth.exp() - identity()).entries()]
+    return Passage(time, crossing_box, rates, identity() + flint.arb_mat(4, 4, deviation))
 
 
 def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, settings: FlowSettings) -> ChartSegment:
@@ -183,33 +189,35 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     """
     field, chart, shift = surface.field, leg.second, [2 * flint.arb.pi() * k for k in leg.shift]
     normal = chart.rows[2]
-    away = surface.energy - surface.energy.mid()
+    energy_deviation = surface.energy - surface.energy.mid()
     start, _ = leg.first.lift(field, surface.energy.mid(), [flint.arb(0)] * 2)
-    y, arrived = (
-        [symmetric(r) + ball(t) * away for r, t in zip(sizes, of.tilt, strict=True)]
-        for sizes, of in ((radii, leg.first), (arriving, chart))
+    y, arriving_box = (
+        [symmetric(r) + ball(t) * energy_deviation for r, t in zip(sizes, end_chart.tilt, strict=True)]
+        for sizes, end_chart in ((radii, leg.first), (arriving, chart))
     )
     states, _ = leg.first.lift(field, surface.energy, y)
     tangents = leg.first.tangents(field, states)
-    spread = tangents * columns([[v] for v in (*map(symmetric, radii), away)])
+    spread = tangents * columns([[v] for v in (*map(symmetric, radii), energy_deviation)])
     thin, derivative, end, steps = fly(field, start, spread, leg.duration, settings)
-    point, box = (passage(field, normal, chart.coordinates(x, shift)[2], x) for x in (thin, end))
-    landed = [x + point.time * f for x, f in zip(thin, point.rates, strict=True)]
-    moved = (box.moved * derivative * tangents).transpose().tolist()
-    *delays, late = [-dot(normal, column) / dot(normal, box.rates) for column in moved]
+    thin_crossing, box_crossing = (passage(field, normal, chart.coordinates(x, shift)[2], x) for x in (thin, end))
+    thin_arrival = [x + thin_crossing.time * f for x, f in zip(thin, thin_crossing.rates, strict=True)]
+    moved_tangents = (box_crossing.moved * derivative * tangents).transpose().tolist()
+    *delays, energy_delay = [-dot(normal, column) / dot(normal, box_crossing.rates) for column in moved_tangents]
     projected = [
-        [m + f * d for m, f in zip(column, box.rates, strict=True)]
-        for column, d in zip(moved, [*delays, late], strict=True)
+        [m + f * d for m, f in zip(column, box_crossing.rates, strict=True)]
+        for column, d in zip(moved_tangents, [*delays, energy_delay], strict=True)
     ]
-    *along, across = [[dot(row, column) for row in chart.rows[:2]] for column in projected]
-    slope = columns(along).transpose()
-    ends = [x + box.time * f for x, f in zip(end, box.rates, strict=True)]
+    *columns_y, energy_column = [[dot(row, column) for row in chart.rows[:2]] for column in projected]
+    slope = columns(columns_y).transpose()
+    box_arrival = [x + box_crossing.time * f for x, f in zip(end, box_crossing.rates, strict=True)]
     # Over the second box, z is unique for given energy, so the chart's z and the arriving z are equal.
-    coordinate = chart.lift(field, surface.energy, arrived)[1]
-    reached = chart.place(arrived, coordinate.union(chart.coordinates(ends, shift)[3]))
-    if dot(field.gradient(reached), chart.columns[3]).contains(0):
+    coordinate = chart.lift(field, surface.energy, arriving_box)[1]
+    possible_states = chart.place(arriving_box, coordinate.union(chart.coordinates(box_arrival, shift)[3]))
+    if dot(field.gradient(possible_states), chart.columns[3]).contains(0):
         raise NotClosed("the energy does not fix a node's section")
-    landings = zip(chart.coordinates(landed, shift)[:2], across, chart.tilt, strict=True)
-    value = [v + (a - ball(t)) * away for v, a, t in landings]
-    whole, at_node = (ball(leg.duration) + time for time in (box.time, point.time + late * away))
-    return ChartSegment(value, slope, whole, at_node, delays, [*steps, box.around], states)
+    thin_coordinates = zip(chart.coordinates(thin_arrival, shift)[:2], energy_column, chart.tilt, strict=True)
+    value = [v + (a - ball(t)) * energy_deviation for v, a, t in thin_coordinates]
+    total_time, at_node = (
+        ball(leg.duration) + time for time in (box_crossing.time, thin_crossing.time + energy_delay * energy_deviation)
+    )
+    return ChartSegment(value, slope, total_time, at_node, delays, [*steps, box_crossing.around], states)

@@ -2,7 +2,7 @@
 
 Boxes are chosen in doubles, and module covering states what covering relations between them prove. Around an orbit,
 widths follow the stretching between its nodes. Along a connection or an open walk, they grow from a quarter of the
-first orbit's box towards the last orbit's box. The manifolds' tangents lie in the propagated cones. Where the cones are
+first orbit's box towards the last orbit's box. The manifolds' tangents lie in the propagated cones. If the cones are
 disjoint, the connection is transversal and they enclose its angle.
 
 All connections of one orbit leave and join the same boxes, so every walk on a graph is a path along covering relations.
@@ -72,7 +72,7 @@ class Route:
     def claims(
         self, segments: Sequence[Sequence[int]], nodes: Sequence[int], rivals: Sequence[Connection] | None
     ) -> list[dict[str, Any]]:
-        """Return the claims on each symbol.
+        """Return the claims on each symbol that a certificate states and `check_symbols` proves.
 
         Each has its section, the segments from the middle of one stop to the middle of the next, and the marked node.
         Saddles are lifted by whole turns. If a stop had no wraps, it would last for `rest` s between marked nodes.
@@ -82,36 +82,43 @@ class Route:
             nodes: marked nodes (S,).
             rivals: connections that the orbit must not follow, None if its nearest connection is not claimed.
         """
-        out = []
+        claims = []
         for k, connection in enumerate(self.connections):
-            alike = [
+            rivals_of_kind = [
                 rival for rival in rivals or () if _kind(rival) == _kind(connection) and rival.name != connection.name
             ]
-            near = () if rivals is None else (connection, *alike)
+            claimed_connections = () if rivals is None else (connection, *rivals_of_kind)
             claim = {
                 "section": described(connection.section),
                 "hits": [int(v) for v in connection.hits],
                 "segments": [int(v) for v in segments[k]],
                 "node": int(nodes[k]),
                 "turns": [int(v) for v in self.offsets[k]],
-                "states": [[repr(float(v)) for v in rival.state] for rival in near],
+                "states": [[repr(float(v)) for v in rival.state] for rival in claimed_connections],
                 "stop": [repr(float(v)) for v in connection.target.centre],
                 "stop_turns": [int(v) for v in self.offsets[k + 1]],
             }
             if k < len(self.wraps):
-                after, period = self.connections[(k + 1) % len(self.connections)], connection.target.period
-                rest = connection.time_in + after.time_out + phase_gap(connection, after) * period
-                claim |= {"wraps": int(self.wraps[k]), "period": repr(float(period)), "rest": repr(float(rest))}
-            out.append(claim)
-        return out
+                next_connection, period = self.connections[(k + 1) % len(self.connections)], connection.target.period
+                time_without_wraps = (
+                    connection.time_in + next_connection.time_out + phase_gap(connection, next_connection) * period
+                )
+                claim |= {
+                    "wraps": int(self.wraps[k]),
+                    "period": repr(float(period)),
+                    "rest": repr(float(time_without_wraps)),
+                }
+            claims.append(claim)
+        return claims
 
 
 def _kind(connection: Connection) -> tuple[Any, ...]:
+    """Return the properties that a connection shares with its rivals: source, target, winding and section."""
     return connection.source.saddle, connection.target.saddle, connection.winding, connection.section
 
 
 def _charts(states: Array, bases: Array, tilts: Array | None) -> list[dict[str, Any]]:
-    """Return nodes, bases and tilts as decimals; one energy needs no tilts."""
+    """Return charts as decimals, from nodes (K, N), bases (K, N, N) and tilts (K, 2); one energy needs none."""
     charts = [{"node": _decimals(state), "basis": _decimals(basis)} for state, basis in zip(states, bases, strict=True)]
     if tilts is None:
         return charts
@@ -119,31 +126,38 @@ def _charts(states: Array, bases: Array, tilts: Array | None) -> list[dict[str, 
 
 
 def _tilts(system: System, states: Array, bases: Array, stms: Array, ends: tuple[float, float] | None = None) -> Array:
-    """Return the change (K, 2) of an orbit's y with the energy at its nodes (K, N), in doubles.
+    """Return the change (K, 2) with the energy of an orbit's coordinates y at its nodes, in doubles.
 
     A closed orbit has as many state-transition matrices as nodes. Another orbit starts with the s and ends with the u
     of `ends`.
+
+    Args:
+        system: system of the orbit.
+        states: nodes (K, N).
+        bases: bases u, s, f, w of the charts (K, N, N).
+        stms: state-transition matrices from node to node, (K, N, N) or (K - 1, N, N).
+        ends: for an open orbit, change of s at its first and of u at its last node.
     """
     count = len(states)
-    maps = np.linalg.inv(np.roll(bases, -1, axis=0)[: len(stms)]) @ stms @ bases[: len(stms)]
+    chart_maps = np.linalg.inv(np.roll(bases, -1, axis=0)[: len(stms)]) @ stms @ bases[: len(stms)]
     slopes = np.einsum("kn,knm->km", system.numeric.gradient(states), bases)[: len(stms)]
     # Coordinate z follows from the energy: z = (1 - H_u y_1 - H_s y_2) / H_w.
-    lifts = maps[:, :2, 3] / slopes[:, 3:]
-    along = maps[:, :2, :2] - lifts[:, :, None] * slopes[:, None, :2]
-    matrix, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
-    for k, (step, lift) in enumerate(zip(along, lifts, strict=True)):
-        rows, following = slice(2 * k, 2 * k + 2), 2 * ((k + 1) % count)
-        matrix[rows, rows] -= step
-        matrix[rows, following : following + 2] += np.eye(2)
-        right[rows] = lift
+    energy_shifts = chart_maps[:, :2, 3] / slopes[:, 3:]
+    plane_maps = chart_maps[:, :2, :2] - energy_shifts[:, :, None] * slopes[:, None, :2]
+    matrix, right_side = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+    for k, (plane_map, energy_shift) in enumerate(zip(plane_maps, energy_shifts, strict=True)):
+        rows, next_columns = slice(2 * k, 2 * k + 2), 2 * ((k + 1) % count)
+        matrix[rows, rows] -= plane_map
+        matrix[rows, next_columns : next_columns + 2] += np.eye(2)
+        right_side[rows] = energy_shift
     if ends is not None:
         matrix[-2, 1] = matrix[-1, -2] = 1.0
-        right[-2:] = ends
-    return np.asarray(np.linalg.solve(matrix, right), dtype=float).reshape(count, 2)
+        right_side[-2:] = ends
+    return np.asarray(np.linalg.solve(matrix, right_side), dtype=float).reshape(count, 2)
 
 
 def chart_of(data: Any) -> SectionChart:
-    """Return the chart of a node and a basis in decimals.
+    """Return the chart that a certificate holds as decimals.
 
     Args:
         data: node (N,) and basis (N, N).
@@ -156,7 +170,7 @@ def chart_of(data: Any) -> SectionChart:
 
 
 def enclosure_of(surface: Surface, scale: Array, settings: FlowSettings) -> Enclosure:
-    """Return the enclosures of the search.
+    """Return the enclosures that a search for proofs uses, by the integrator of module flow.
 
     Args:
         surface: energy surface.
@@ -165,6 +179,7 @@ def enclosure_of(surface: Surface, scale: Array, settings: FlowSettings) -> Encl
     """
 
     def enclosed(charts: Sequence[Any], widths: Any, duration: Fraction, turns: Sequence[int]) -> Any:
+        """Enclose the map between two charts in decimals, see `segment`."""
         first, second = map(chart_of, charts)
         return segment(surface, Leg(first, second, duration, tuple(turns)), widths[0], widths[1], settings)
 
@@ -172,7 +187,7 @@ def enclosure_of(surface: Surface, scale: Array, settings: FlowSettings) -> Encl
 
 
 def orbit_data(orbit: LyapunovOrbit, radius: float, *, tilted: bool) -> dict[str, Any]:
-    """Return charts, half-widths and durations of boxes around a periodic orbit.
+    """Return charts, half-widths and durations of boxes around a periodic orbit, each of which must cover the next one.
 
     Args:
         orbit: periodic orbit.
@@ -185,8 +200,8 @@ def orbit_data(orbit: LyapunovOrbit, radius: float, *, tilted: bool) -> dict[str
     stms = system.propagator.flows_with_stm(states, durations)[1]
     tilts = _tilts(system, states, bases[:-1], stms) if tilted else None
     # The widths follow the stretching, up to a constant factor per leg.
-    even = rates / np.exp(np.log(rates).mean(axis=0))
-    widths = np.concatenate([np.ones((1, 2)), np.cumprod(even, axis=0)[:-1]])
+    relative_rates = rates / np.exp(np.log(rates).mean(axis=0))
+    widths = np.concatenate([np.ones((1, 2)), np.cumprod(relative_rates, axis=0)[:-1]])
     return {
         "charts": _charts(states, bases[:-1], tilts),
         "widths": _decimals(radius * widths / widths.max(axis=0)),
@@ -202,7 +217,7 @@ def _decimals(values: Array) -> Any:
 def link_data(
     route: Route, ends: Sequence[int], orbits: Sequence[Any], radius: float, rivals: Sequence[Connection] | None = None
 ) -> dict[str, Any]:
-    """Return charts, half-widths, durations and claims of a chain of boxes along a route.
+    """Return charts, half-widths, durations and claims of boxes along a route, each of which must cover the next one.
 
     Args:
         route: computed orbit.
@@ -216,27 +231,28 @@ def link_data(
     states, durations = route.orbit.sample(times), np.diff(times)
     marks = [int(k) for k in np.searchsorted(times, route.times)]
     _, stms = system.propagator.flows_with_stm(states[:-1], durations)
-    grows, shrinks = (
+    first_growing, last_shrinking = (
         np.array(data["charts"][k]["basis"], dtype=float)[:, column]
         for data, k, column in ((source, first, 0), (target, last, 1))
     )
-    bases = directions(system, states, stms, closed=False, first=grows, last=shrinks)
+    bases = directions(system, states, stms, closed=False, first=first_growing, last=last_shrinking)
     tilts = None
     if "tilt" in source["charts"][0]:
-        near = _carried(source["charts"][first], bases[0])[1], _carried(target["charts"][last], bases[-1])[0]
-        tilts = _tilts(system, states, bases, stms, near)
+        end_tilts = _carried(source["charts"][first], bases[0])[1], _carried(target["charts"][last], bases[-1])[0]
+        tilts = _tilts(system, states, bases, stms, end_tilts)
     rates = growth(bases, stms)
-    wide, high = [float(source["widths"][first][0]) / 4], [float(target["widths"][last][1])]
-    for up, down in zip(rates, rates[::-1], strict=True):
-        wide.append(min(_KEPT * up[0] * wide[-1], radius))
-        high.append(min(_KEPT * high[-1] / down[1], radius))
-    rests = [
+    # A box is narrower than the stretched one before it in u, and wider than the shrunk one in s, so it is covered.
+    unstable_widths, stable_widths = [float(source["widths"][first][0]) / 4], [float(target["widths"][last][1])]
+    for growth_forward, growth_backward in zip(rates, rates[::-1], strict=True):
+        unstable_widths.append(min(_KEPT * growth_forward[0] * unstable_widths[-1], radius))
+        stable_widths.append(min(_KEPT * stable_widths[-1] / growth_backward[1], radius))
+    middle_times = [
         (crossed + before.time_in + crosses - after.time_out) / 2
         for crossed, crosses, before, after in zip(
             route.times, route.times[1:], route.connections, route.connections[1:], strict=False
         )
     ]
-    joints = [int(k) for k in np.searchsorted(times, rests)]
+    joints = [int(k) for k in np.searchsorted(times, middle_times)]
     segments = zip([0, *(k + 1 for k in joints)], [*joints, len(times)], strict=True)
     departs, arrives = route.connections[0], route.connections[-1]
     return {
@@ -245,7 +261,7 @@ def link_data(
         "leaves": (first - 1) % len(source["charts"]),
         "joins": (last + 1) % len(target["charts"]),
         "charts": _charts(states, bases, tilts),
-        "widths": _decimals(np.stack([wide, high[::-1]], axis=1)),
+        "widths": _decimals(np.stack([unstable_widths, stable_widths[::-1]], axis=1)),
         "durations": [source["durations"][0], *_decimals(durations), target["durations"][0]],
         "turns": [int(k) for k in route.offsets[-1]],
         "time_out": repr(float(departs.time_out)),
@@ -257,7 +273,7 @@ def link_data(
 
 
 def _carried(chart: Mapping[str, Any], base: Array) -> Array:
-    """Return the tilt of an orbit's chart in another basis of a state near its node."""
+    """Return the tilt (2,) of an orbit's chart in the basis `base` (N, N) of a state near its node."""
     tilt, basis = (np.array(chart[key], dtype=float) for key in ("tilt", "basis"))
     return np.asarray(np.linalg.solve(base, basis[:, :2] @ tilt), dtype=float)
 
@@ -278,26 +294,39 @@ def transversality(surface: Surface, connection: Connection, proved: CoveringLin
     """
     mark, legs = proved.marks[0], proved.legs
     source, leaves, target, joins = proved.numbers("source", "leaves", "target", "joins")
-    slope = reduce(lambda cone, leg: forward(leg, cone)[0], legs[:mark], orbits[source].grows[leaves])
-    back = reduce(lambda cone, leg: backward(leg, cone)[0], legs[: mark - 1 : -1], orbits[target].shrinks[joins])
-    return _angle(surface, connection, chart_of(proved.data["charts"][mark - 1]), legs[mark].start, (slope, back))
+    unstable_cone = reduce(lambda cone, leg: forward(leg, cone)[0], legs[:mark], orbits[source].grows[leaves])
+    stable_cone = reduce(lambda cone, leg: backward(leg, cone)[0], legs[: mark - 1 : -1], orbits[target].shrinks[joins])
+    return _angle(
+        surface, connection, chart_of(proved.data["charts"][mark - 1]), legs[mark].start, (unstable_cone, stable_cone)
+    )
 
 
 def _angle(surface: Surface, connection: Connection, chart: SectionChart, state: Any, slopes: tuple[Any, Any]) -> Any:
-    """Return the angle at the section between directions in two cones, deg, or None if they may meet."""
+    """Enclose the angle (deg) at a section between a direction in the unstable cone and one in the stable cone.
+
+    Args:
+        surface: energy surface.
+        connection: connection that crosses the section.
+        chart: chart of the link's mark, near the section.
+        state: box of states (N,) in this chart.
+        slopes: unstable cone (s over u) and stable cone (u over s) as balls.
+
+    Returns:
+        The angle, or None if the cones may meet.
+    """
     section = connection.section
     normal, position = ([ball(v) for v in row] for row in (section.normal, section.position))
     height = folded(dot(normal, state) - ball(section.offset), period_of(described(section)))
     # The orbit meets the section slightly before or after the chart.
-    met = passage(surface.field, normal, height, state)
-    tangents = (met.moved * chart.tangents(surface.field, state)).transpose().tolist()
-    momenta, scale = surface.field.momenta(met.around)[0], ball(momentum_scale(connection.source.system, section))
-    flat = []
+    crossing = passage(surface.field, normal, height, state)
+    tangents = (crossing.moved * chart.tangents(surface.field, state)).transpose().tolist()
+    momenta, scale = surface.field.momenta(crossing.around)[0], ball(momentum_scale(connection.source.system, section))
+    plane_directions = []
     for first, second in ((flint.arb(1), slopes[0]), (slopes[1], flint.arb(1))):
         v = [first * a + second * b for a, b in zip(*tangents[:2], strict=True)]
-        v = [a - f * dot(normal, v) / dot(normal, met.rates) for a, f in zip(v, met.rates, strict=True)]
-        p = [dot([momenta[i + 2 * j] for j in range(4)], v) for i in range(2)]
-        flat.append((dot(position, v), dot([ball(m) for m in section.momentum], p) / scale))
-    (a, b), (c, d) = flat
-    across = abs(a * d - b * c)
-    return flint.arb.atan2(across, abs(a * c + b * d)) * 180 / flint.arb.pi() if across > 0 else None
+        v = [a - f * dot(normal, v) / dot(normal, crossing.rates) for a, f in zip(v, crossing.rates, strict=True)]
+        momentum = [dot([momenta[i + 2 * j] for j in range(4)], v) for i in range(2)]
+        plane_directions.append((dot(position, v), dot([ball(m) for m in section.momentum], momentum) / scale))
+    (a, b), (c, d) = plane_directions
+    cross_product = abs(a * d - b * c)
+    return flint.arb.atan2(cross_product, abs(a * c + b * d)) * 180 / flint.arb.pi() if cross_product > 0 else None

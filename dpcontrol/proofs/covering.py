@@ -107,20 +107,20 @@ class Enclosure:
         if not all(v > 0 for v in (*chain(*sizes), *map(number, durations))) or len(durations) < 2:
             raise NotClosed("a chain has fewer than two legs, or one without width or duration")
         rows = zip(pairwise(charts), pairwise(sizes), durations, strict=True)
-        for k, (ends, ((u, s), (wide, high)), duration) in enumerate(rows, start=1):
+        for k, (ends, ((u, s), (next_width, next_height)), duration) in enumerate(rows, start=1):
             with located(f"in segment {k} of {len(durations)}:"):
                 shift = turns if k == len(durations) else [0] * len(turns)
-                leg = self.segment(ends, [[u, s], [wide, high]], fraction(duration), shift)
+                leg = self.segment(ends, [[u, s], [next_width, next_height]], fraction(duration), shift)
                 (a, b), (c, d) = leg.slope.tolist()
-                across = abs(a) * u - abs(b) * s - abs(leg.value[0]) > wide
-                if not (across and abs(c) * u + abs(d) * s + abs(leg.value[1]) < high):
+                stretches = abs(a) * u - abs(b) * s - abs(leg.value[0]) > next_width
+                if not (stretches and abs(c) * u + abs(d) * s + abs(leg.value[1]) < next_height):
                     raise NotClosed("the image of a box does not stretch across the next one")
             legs.append(leg)
         return legs
 
 
 def forward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
-    """Return slope and least growth of the growing cone after a segment.
+    """Return the cone of growing directions after a segment, as a ball of slopes, and the least growth in it.
 
     Args:
         leg: segment.
@@ -131,7 +131,7 @@ def forward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
 
 
 def backward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
-    """Return slope and backward growth of the shrinking cone before a segment.
+    """Return the cone of shrinking directions before a segment, as a ball of slopes, and its least backward growth.
 
     Args:
         leg: segment.
@@ -158,7 +158,7 @@ class OrbitBoxes:
     slack: Any
 
     def way(self, start: int, end: int, rounds: int = 0) -> Any:
-        """Return the time (s) from a box to another one.
+        """Return the enclosed time (s) of a flight along an orbit from the start of one box to that of another one.
 
         Args:
             start: first box.
@@ -166,12 +166,12 @@ class OrbitBoxes:
             rounds: full rounds in addition.
         """
         count = len(self.legs)
-        passed = range(start, start + (end - start) % count + rounds * count)
-        return sum((self.legs[k % count].time for k in passed), flint.arb(0))
+        passed_legs = range(start, start + (end - start) % count + rounds * count)
+        return sum((self.legs[k % count].time for k in passed_legs), flint.arb(0))
 
 
 def orbit_boxes(data: Mapping[str, Any], enclosure: Enclosure) -> OrbitBoxes:
-    """Prove that boxes about a periodic orbit cover one another and have invariant cones.
+    """Return the boxes about a periodic orbit, after proving that they cover one another and have invariant cones.
 
     Args:
         data: charts, half-widths and durations.
@@ -182,12 +182,17 @@ def orbit_boxes(data: Mapping[str, Any], enclosure: Enclosure) -> OrbitBoxes:
     """
     charts, widths = data["charts"], data["widths"]
     legs = enclosure.covered([*charts, charts[0]], [*widths, widths[0]], data["durations"], [0] * 4)
-    cone, longer, shorter = symmetric(1), flint.arb(1), flint.arb(1)
+    cone, growth, backward_growth = symmetric(1), flint.arb(1), flint.arb(1)
     grows, shrinks = [cone], [cone]
-    for leg, back in zip(legs, reversed(legs), strict=True):
-        (slope, by), (back_slope, back_by) = forward(leg, grows[-1]), backward(back, shrinks[-1])
-        grows, shrinks, longer, shorter = [*grows, slope], [*shrinks, back_slope], longer * by, shorter * back_by
-    if not (all(slope in cone for slope in [*grows, *shrinks]) and longer > 2 and shorter > 2):
+    for leg, leg_backward in zip(legs, reversed(legs), strict=True):
+        (slope, factor), (back_slope, back_factor) = forward(leg, grows[-1]), backward(leg_backward, shrinks[-1])
+        grows, shrinks, growth, backward_growth = (
+            [*grows, slope],
+            [*shrinks, back_slope],
+            growth * factor,
+            backward_growth * back_factor,
+        )
+    if not (all(slope in cone for slope in [*grows, *shrinks]) and growth > 2 and backward_growth > 2):
         raise NotClosed("its cones are not invariant")
     sizes = zip(legs, (max(map(fraction, row)) for row in widths), strict=True)
     deviation = sum((2 * number(w) * (abs(leg.delays[0]) + abs(leg.delays[1])) for leg, w in sizes), flint.arb(0))
@@ -216,7 +221,7 @@ class CoveringLink:
     after: Any
 
     def numbers(self, *keys: str) -> Iterable[int]:
-        """Return whole numbers of its data.
+        """Return the whole numbers that the link's data have under some keys, such as the indices of its orbits.
 
         Args:
             keys: their keys.
@@ -225,7 +230,7 @@ class CoveringLink:
 
 
 def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], enclosure: Enclosure) -> CoveringLink:
-    """Prove that a chain of boxes leads from orbit to orbit, and that it follows its symbols.
+    """Return a chain of boxes from orbit to orbit, after proving that each covers the next one and its symbols hold.
 
     Args:
         data: source, target, leaves, joins, charts, widths, durations, turns and symbols.
@@ -235,7 +240,7 @@ def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], en
     Raises:
         NotClosed: a covering or a symbol is not proved.
     """
-    ends = [(orbits[int(data[key])], int(data[at])) for key, at in (("source", "leaves"), ("target", "joins"))]
+    ends = [(orbits[int(data[key])], int(data[index])) for key, index in (("source", "leaves"), ("target", "joins"))]
     charts, widths = (
         [ends[0][0][key][ends[0][1]], *data[key], ends[1][0][key][ends[1][1]]] for key in ("charts", "widths")
     )
@@ -247,26 +252,36 @@ def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], en
         Enclosed(flights, starts, times, turns, enclosure.angles, enclosure.scale, enclosure.rates, closed=False),
     )
     marks = [int(symbol["node"]) for symbol in symbols]
-    early, late = (
+    first_delay, last_delay = (
         _delay(symbol["section"], legs[k - 1 : k + 1], enclosure)
         for symbol, k in ((symbols[0], marks[0]), (symbols[-1], marks[-1]))
     )
-    before, after = sum(times[: marks[0]], early), sum(times[marks[-1] :], -late)
+    before, after = sum(times[: marks[0]], first_delay), sum(times[marks[-1] :], -last_delay)
     return CoveringLink(data, legs, marks, before, after)
 
 
 def _delay(section: Mapping[str, Any], beside: Sequence[ChartSegment], enclosure: Enclosure) -> Any:
-    """Return the time from a mark's chart, between two legs, to its section.
+    """Return the enclosed time (s) from a mark's chart to the section of its symbol.
 
     Chart and crossing are in the same boxes, in which the speed across the section has a sign.
+
+    Args:
+        section: numbers of the section.
+        beside: the leg before the mark and the one after it.
+        enclosure: enclosures of the system.
+
+    Raises:
+        NotClosed: the boxes beside the mark do not hold exactly one crossing.
     """
     normal, boxes = [number(v) for v in section["normal"]], [box for leg in beside for box in leg.spans]
     height = folded(dot(normal, beside[1].start) - number(section["offset"]), period_of(section))
-    near = [hit for hit in crossings(section, boxes, enclosure.rates) if len(beside[0].spans) in hit]
-    if len(near) != 1:
+    marked_crossings = [hit for hit in crossings(section, boxes, enclosure.rates) if len(beside[0].spans) in hit]
+    if len(marked_crossings) != 1:
         raise NotClosed("the time of a section crossing is not determined")
-    around = reduce(lambda a, b: [x.union(y) for x, y in zip(a, b, strict=True)], [boxes[k] for k in near[0]])
-    return -height / dot(normal, enclosure.rates(around))
+    crossing_box = reduce(
+        lambda a, b: [x.union(y) for x, y in zip(a, b, strict=True)], [boxes[k] for k in marked_crossings[0]]
+    )
+    return -height / dot(normal, enclosure.rates(crossing_box))
 
 
 @dataclass(frozen=True)
@@ -292,8 +307,8 @@ class Network:
         if any(len(link.marks) > 1 for link in self.links):
             raise NotClosed("a link has more than one mark")
         for k, j in self.passages():
-            other = f"link {j}" if j > 0 else f"orbit {j + len(self.orbits)}"
-            raise NotClosed(f"{other} is not proved to avoid the box of link {k} on its section")
+            chain_name = f"link {j}" if j > 0 else f"orbit {j + len(self.orbits)}"
+            raise NotClosed(f"{chain_name} is not proved to avoid the box of link {k} on its section")
 
     def passages(self) -> Iterator[tuple[int, int]]:
         """Yield each link and the number of a chain that is not proved to avoid its mark.
@@ -303,47 +318,51 @@ class Network:
         chains = [row.legs for row in (*self.orbits, *self.links)]
         for k, link in enumerate(self.links, start=1):
             for j, legs in enumerate(chains, start=1 - len(self.orbits)):
-                beside = (link.marks[0] - 1, link.marks[0]) if j == k else ()
-                spans = (box for i, leg in enumerate(legs) if i not in beside for box in leg.spans)
+                legs_at_mark = (link.marks[0] - 1, link.marks[0]) if j == k else ()
+                spans = (box for i, leg in enumerate(legs) if i not in legs_at_mark for box in leg.spans)
                 if any(self._meet(link.legs[link.marks[0]].start, box) for box in spans):
                     yield k, j
 
     def apart(self) -> list[int]:
-        """Return the indices of links whose marks all chains of these links and of the orbits avoid."""
-        left = set[int]()
+        """Return the indices of links whose marks all chains of these links and of the orbits avoid.
+
+        Of two links that are not proved to be apart, the later one is left out.
+        """
+        excluded = set[int]()
         for k, j in self.passages():
-            if not left & {k, j}:
-                left.add(max(k, j))
-        return [k for k in range(len(self.links)) if k + 1 not in left]
+            if not excluded & {k, j}:
+                excluded.add(max(k, j))
+        return [k for k in range(len(self.links)) if k + 1 not in excluded]
 
     def _meet(self, mark: Vector, box: Vector) -> bool:
-        """Return True if two boxes of states may have a state in common, up to whole turns."""
+        """Return True if a mark and another box of states (N,) may have a state in common, up to whole turns."""
         turn = 2 * flint.arb.pi()
         return all(
-            (folded(a - b, turn) if turning else a - b).contains(0)
-            for a, b, turning in zip(mark, box, self.enclosure.angles, strict=True)
+            (folded(a - b, turn) if turns else a - b).contains(0)
+            for a, b, turns in zip(mark, box, self.enclosure.angles, strict=True)
         )
 
     def fewest_wraps(self) -> list[list[int | None]]:
-        """Return the wraps of the shortest passage between each two links (L, L), None where they do not meet.
+        """Return the fewest wraps of a passage from each link to each other (L, L), None if they do not share an orbit.
 
         Raises:
             NotClosed: a duration does not determine its wraps, or orbits of different walks are not proved to separate.
         """
-        beside = [link.legs[k].time for link in self.links for k in (link.marks[0] - 1, link.marks[0])]
-        apart = 2 * reduce(lambda a, b: a.max(b), beside)
+        leg_times = [link.legs[k].time for link in self.links for k in (link.marks[0] - 1, link.marks[0])]
+        least_difference = 2 * reduce(lambda a, b: a.max(b), leg_times)
 
         def fewest(link: CoveringLink, other: CoveringLink) -> int | None:
+            """Return the wraps of the shortest passage from link to link, None if they do not share an orbit."""
             ((target, joins), (source, leaves)) = link.numbers("target", "joins"), other.numbers("source", "leaves")
             if target != source:
                 return None
             orbit = self.orbits[target]
             stay, period = link.after + orbit.way(joins, leaves) + other.before + orbit.slack, orbit.way(0, 0, 1)
-            if not (stay > apart and period - 2 * stay.rad() > apart):
+            if not (stay > least_difference and period - 2 * stay.rad() > least_difference):
                 raise NotClosed("orbits of different walks are not proved to separate")
-            rest = number(link.data["time_in"]) + number(other.data["time_out"])
-            phases = fraction(other.data["phase_out"]) - fraction(link.data["phase_in"])
-            return whole_number((stay - rest) / period - number(phases % 1))
+            flight_time = number(link.data["time_in"]) + number(other.data["time_out"])
+            phase_difference = fraction(other.data["phase_out"]) - fraction(link.data["phase_in"])
+            return whole_number((stay - flight_time) / period - number(phase_difference % 1))
 
         for orbit, section in (
             (self.orbits[index], link.data["symbols"][0]["section"])
@@ -357,19 +376,21 @@ class Network:
     def has_entropy(self, rate: Any) -> bool:
         """Return True if the topological entropy is proved to be at least a rate.
 
+        Walks are counted by the matrix M(h) of the module's text, whose rows and columns are the orbits.
+
         Args:
-            rate: ball, per time unit.
+            rate: the rate h, a ball, per time unit.
         """
         count = len(self.orbits)
-        rows = [[flint.arb(0)] * count for _ in range(count)]
+        matrix = [[flint.arb(0)] * count for _ in range(count)]
         loops = [((k, k), orbit.way(0, 0, 1)) for k, orbit in enumerate(self.orbits)]
         for link in self.links:
             a, leaves, b, joins = link.numbers("source", "leaves", "target", "joins")
-            ways = self.orbits[a].way(0, leaves) + self.orbits[b].way(joins, 0)
-            loops.append(((a, b), ways + link.before + link.after))
+            time_beside = self.orbits[a].way(0, leaves) + self.orbits[b].way(joins, 0)
+            loops.append(((a, b), time_beside + link.before + link.after))
         for (a, b), time in loops:
-            rows[a][b] += (-rate * time).exp()
-        values, vectors = np.linalg.eig([[float(v.mid()) for v in row] for row in rows])
+            matrix[a][b] += (-rate * time).exp()
+        values, vectors = np.linalg.eig([[float(v.mid()) for v in row] for row in matrix])
         # Entries of rounding errors would belong to orbits outside the part of the graph that has this entropy.
         vector = [flint.arb(float(v) if v > 1e-9 else 0.0) for v in np.abs(vectors[:, np.argmax(values.real)])]
-        return all(dot(row, vector) >= v for row, v in zip(rows, vector, strict=True))
+        return all(dot(row, vector) >= v for row, v in zip(matrix, vector, strict=True))

@@ -77,21 +77,21 @@ class Field:
 
     @classmethod
     def of(cls, system: System, parameters: Sequence[Fraction]) -> "Field":
-        """Return a system's programs at the working precision.
+        """Return the programs that evaluate a system's equations in ball arithmetic at the working precision.
 
         Args:
             system: system of two degrees of freedom.
             parameters: exact parameters (p,).
         """
-        e = system.equations
-        rate = ca.substitute(e.rate, e.inputs, ca.SX.zeros(e.input_count))
-        jacobian, gradient = ca.jacobian(rate, e.state), ca.gradient(e.hamiltonian, e.state)
-        make = lambda *outputs: program(e.state, e.parameters, outputs, parameters)  # noqa: E731
-        momenta = ca.jacobian(e.momentum, e.state)
-        return cls(make(rate), make(rate, jacobian), make(e.hamiltonian, gradient), make(momenta))
+        equations = system.equations
+        rate = ca.substitute(equations.rate, equations.inputs, ca.SX.zeros(equations.input_count))
+        jacobian, gradient = ca.jacobian(rate, equations.state), ca.gradient(equations.hamiltonian, equations.state)
+        make = lambda *outputs: program(equations.state, equations.parameters, outputs, parameters)  # noqa: E731
+        momenta = ca.jacobian(equations.momentum, equations.state)
+        return cls(make(rate), make(rate, jacobian), make(equations.hamiltonian, gradient), make(momenta))
 
     def matrix(self, entries: Vector) -> list[Vector]:
-        """Return the rows of Df from its entries in column-major order.
+        """Return the rows (N, N) of Df from its entries in column-major order, in which `slopes` returns them.
 
         Args:
             entries: entries of Df (16,).
@@ -99,7 +99,7 @@ class Field:
         return [[entries[i + 4 * j] for j in range(4)] for i in range(4)]
 
     def rates(self, state: Vector) -> Vector:
-        """Return f(x).
+        """Return the rates f(x) (N,) at a state.
 
         Args:
             state: balls or series (N,).
@@ -107,7 +107,7 @@ class Field:
         return self.rate(state)[0]
 
     def gradient(self, state: Vector) -> Vector:
-        """Return ∇H(x).
+        """Return the gradient ∇H(x) (N,) of the energy at a state.
 
         Args:
             state: balls or series (N,).
@@ -117,85 +117,100 @@ class Field:
 
 @cache
 def _cover() -> list[Any]:
-    """Return boxes that cover the upper half of the unit disc."""
+    """Return the complex boxes that together cover the upper half of the unit disc, see the module's text."""
     half = flint.arb(0.75, 0.25)
     angles = [((2 * k + 1 + flint.arb(0, 1)) / (2 * _SECTORS)).sin_cos_pi() for k in range(_SECTORS)]
     return [flint.acb(flint.arb(0, 0.5), flint.arb(0, 0.5)), *(flint.acb(half * c, half * s) for s, c in angles)]
 
 
 def _horner(coefficients: Vector, time: Any) -> Any:
+    """Return the value of a polynomial with these coefficients (degree + 1,), lowest order first, at a time."""
     return reduce(lambda value, c: value * time + c, reversed(coefficients))
 
 
 def _coefficients(series: Any, length: int) -> Vector:
-    """Return the first coefficients of a series or a constant."""
+    """Return the first `length` coefficients of a power series, or of a constant as a series."""
     if not isinstance(series, flint.arb_series):
         return [series] + [flint.arb(0)] * (length - 1)
     return [series[k] for k in range(length)]
 
 
 def taylor(field: Field, start: Vector, order: int) -> list[Vector]:
-    """Return Taylor coefficients 0 … order of the states over a box.
+    """Return Taylor coefficients in time of the states that start in a box.
 
     Args:
         field: programs of the system.
         start: box of states (N,).
         order: degree of the polynomials.
+
+    Returns:
+        Coefficients (N, order + 1), lowest order first.
     """
-    x = [[s] for s in start]
+    coefficients = [[value] for value in start]
     for k in range(order):
         flint.ctx.cap = k + 1
-        for c, rate in zip(x, field.rates([flint.arb_series(c) for c in x]), strict=True):
-            c.append(_coefficients(rate, k + 1)[k] / (k + 1))
-    return x
+        for series, rate in zip(
+            coefficients, field.rates([flint.arb_series(series) for series in coefficients]), strict=True
+        ):
+            series.append(_coefficients(rate, k + 1)[k] / (k + 1))
+    return coefficients
 
 
 def tangent(field: Field, x: list[Vector], order: int) -> list[Any]:
-    """Return Taylor coefficients (N, N) of the flow's derivative.
+    """Return Taylor coefficients in time of the flow's derivative V, from V' = Df V.
 
     Args:
         field: programs of the system.
         x: Taylor coefficients (N, at least `order`) of the states.
         order: degree of the polynomials.
+
+    Returns:
+        Matrices (N, N) of the coefficients 0 … order.
     """
     flint.ctx.cap = order
-    slope = field.matrix(field.slopes([flint.arb_series(c[:order]) for c in x])[1])
-    linear = [_coefficients(s, order) for row in slope for s in row]
-    matrices, out = [flint.arb_mat(4, 4, list(entries)) for entries in zip(*linear, strict=True)], [identity()]
+    jacobian = field.matrix(field.slopes([flint.arb_series(c[:order]) for c in x])[1])
+    jacobian_series = [_coefficients(s, order) for row in jacobian for s in row]
+    matrices, flows = (
+        [flint.arb_mat(4, 4, list(entries)) for entries in zip(*jacobian_series, strict=True)],
+        [identity()],
+    )
     for k in range(order):
-        total = reduce(lambda a, b: a + b, (matrices[j] * out[k - j] for j in range(k + 1)))
-        out.append(total * (1 / flint.arb(k + 1)))
-    return out
+        total = reduce(lambda a, b: a + b, (matrices[j] * flows[k - j] for j in range(k + 1)))
+        flows.append(total * (1 / flint.arb(k + 1)))
+    return flows
 
 
 def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> tuple[Any, Vector, Any] | None:
-    """Return a disc's radius ρ, ε (N,) and a bound on the flow's derivative (N, N), None if no enclosure closes.
+    """Return a disc of complex times on which a step's solutions are proved to be analytic, None if it does not close.
 
     Args:
         field: programs of the system.
         x: Taylor coefficients of the states, N rows.
         radius: radius of the disc in time, s.
         guess: first guess of ε (N,), or None.
+
+    Returns:
+        Radius ρ, distance ε (N,) of the solutions from their polynomials, and a bound (N, N) on the flow's derivative.
     """
-    times, p = [box * radius for box in _cover()], [c[: _ROUGH + 1] for c in x]
-    slopes = [[c[k] * k for k in range(1, _ROUGH + 1)] for c in p]
-    values, rates = ([[_horner(c, t) for c in rows] for t in times] for rows in (p, slopes))
+    times, polynomials = [box * radius for box in _cover()], [c[: _ROUGH + 1] for c in x]
+    slopes = [[c[k] * k for k in range(1, _ROUGH + 1)] for c in polynomials]
+    values, rates = ([[_horner(c, t) for c in rows] for t in times] for rows in (polynomials, slopes))
     bounds = guess or [flint.arb(0)] * 4
     for _ in range(4):
         spread = [flint.acb(symmetric(b), symmetric(b)) for b in bounds]
         values_and_slopes = [field.slopes([v + e for v, e in zip(value, spread, strict=True)]) for value in values]
-        gaps = [
+        defects = [
             [f - r for f, r in zip(pair[0], rate, strict=True)]
             for pair, rate in zip(values_and_slopes, rates, strict=True)
         ]
-        needed = [radius * largest(column) / (_ROUGH + 1) for column in zip(*gaps, strict=True)]
-        if not all(g.is_finite() for g in needed):
+        needed_bounds = [radius * largest(column) / (_ROUGH + 1) for column in zip(*defects, strict=True)]
+        if not all(g.is_finite() for g in needed_bounds):
             return None
-        if all(g <= b for g, b in zip(needed, bounds, strict=True)):
+        if all(g <= b for g, b in zip(needed_bounds, bounds, strict=True)):
             steepest = [largest(column) for column in zip(*[pair[1] for pair in values_and_slopes], strict=True)]
-            grown = (columns(field.matrix(steepest)) * radius).exp()
-            return (radius, bounds, grown) if all(g.is_finite() for g in grown.entries()) else None
-        bounds = [flint.arb((g * 5 / 4).upper()) for g in needed]
+            growth = (columns(field.matrix(steepest)) * radius).exp()
+            return (radius, bounds, growth) if all(g.is_finite() for g in growth.entries()) else None
+        bounds = [flint.arb((g * 5 / 4).upper()) for g in needed_bounds]
     return None
 
 
@@ -218,34 +233,49 @@ def fly(
     Raises:
         NotClosed: a step's enclosure does not close.
     """
-    flown, spans, thin, carried, tried, guess = Fraction(0), [], start, identity(), 10.0, None
-    while flown < duration:
-        unclear = NotClosed(f"the enclosure at {float(flown):.4g} s of a segment's flight does not close")
+    elapsed, spans, thin, carried, disc_radius, guess = Fraction(0), [], start, identity(), 10.0, None
+    while elapsed < duration:
+        failure = NotClosed(f"the enclosure at {float(elapsed):.4g} s of a segment's flight does not close")
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
-        point, around = taylor(field, thin, settings.order), taylor(field, box, settings.box_order)
-        tried = min(_convergence(point), tried * _GROWTH)
-        attempts = (disc(field, around, ball(tried * 0.85**k), None if k else guess) for k in range(_MOST_TRIES))
+        thin_series, box_series = taylor(field, thin, settings.order), taylor(field, box, settings.box_order)
+        disc_radius = min(_convergence(thin_series), disc_radius * _GROWTH)
+        attempts = (
+            disc(field, box_series, ball(disc_radius * 0.85**k), None if k else guess) for k in range(_MOST_TRIES)
+        )
         attempted = next((attempt for attempt in attempts if attempt is not None), None)
         if attempted is None or len(spans) == _MOST_STEPS:
-            raise unclear
+            raise failure
         radius, bounds, derivative = attempted
-        tried, guess = float(radius), [flint.arb((b * 9 / 8).upper()) for b in bounds]
-        step = min(Fraction(tried * settings.left ** (1 / (settings.order + 1))), duration - flown)
+        disc_radius, guess = float(radius), [flint.arb((b * 9 / 8).upper()) for b in bounds]
+        step = min(Fraction(disc_radius * settings.left ** (1 / (settings.order + 1))), duration - elapsed)
         h = ball(step)
-        ratio, during = h / radius, flint.arb(0.5, 0.5) * h
+        ratio, times = h / radius, flint.arb(0.5, 0.5) * h
         if not ratio < 1:
-            raise unclear
+            raise failure
         tail, box_tail = (ratio ** (order + 1) / (1 - ratio) for order in (settings.order, settings.box_order))
-        rough, at_most = [c[: _ROUGH + 1] for c in around], (during / radius).abs_upper() ** (_ROUGH + 1)
-        spans.append([_horner(c, during) + symmetric(b * at_most) for c, b in zip(rough, bounds, strict=True)])
-        thin = [_horner(c, h) + symmetric(b * tail) for c, b in zip(point, bounds, strict=True)]
-        grown = flint.arb_mat(4, 4, [symmetric(g * box_tail) for g in derivative.entries()])
-        carried = (_horner(tangent(field, around, settings.box_order), h) + grown) * carried
-        flown += step
-    return thin, carried, [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)], spans
+        polynomials, remainder_share = (
+            [c[: _ROUGH + 1] for c in box_series],
+            (times / radius).abs_upper() ** (_ROUGH + 1),
+        )
+        spans.append(
+            [_horner(c, times) + symmetric(b * remainder_share) for c, b in zip(polynomials, bounds, strict=True)]
+        )
+        thin = [_horner(c, h) + symmetric(b * tail) for c, b in zip(thin_series, bounds, strict=True)]
+        derivative_rest = flint.arb_mat(4, 4, [symmetric(g * box_tail) for g in derivative.entries()])
+        carried = (_horner(tangent(field, box_series, settings.box_order), h) + derivative_rest) * carried
+        elapsed += step
+    return (
+        thin,
+        carried,
+        [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)],
+        spans,
+    )
 
 
 def _convergence(x: list[Vector]) -> float:
-    """Return a guess of the disc's radius from the last coefficients."""
-    first, last = (max(abs(float(c[k].mid())) for c in x for k in which) for which in ((1,), (-2, -1)))
+    """Return a first guess of a disc's radius (s) from the growth of the Taylor coefficients x (N, order + 1).
+
+    A wrong guess costs time only, since the disc is proved afterwards.
+    """
+    first, last = (max(abs(float(c[k].mid())) for c in x for k in orders) for orders in ((1,), (-2, -1)))
     return _SHARE * min(10.0, (max(first, 1e-3) / max(last, 1e-300)) ** (1 / (len(x[0]) - 2)))

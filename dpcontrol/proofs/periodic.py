@@ -39,7 +39,7 @@ Chain = tuple[Leg, ...]
 
 
 def closed_chain(system: System, states: Array, durations: Array, turns: Sequence[int]) -> Chain:
-    """Return the legs of a closed orbit, the last of which has its whole turns.
+    """Return a closed orbit as a chain of legs from chart to chart, the last of which has its whole turns.
 
     Args:
         system: system of two degrees of freedom.
@@ -48,6 +48,7 @@ def closed_chain(system: System, states: Array, durations: Array, turns: Sequenc
         turns: whole turns in a period (N,).
     """
     bases, _ = closed_frames(system, states, durations)
+    # The last chart is the first one again, at which the chain closes.
     charts = [
         SectionChart(tuple(map(Fraction, state)), tuple(tuple(row) for row in basis))
         for state, basis in zip([*states.tolist(), states[0].tolist()], bases.tolist(), strict=True)
@@ -64,7 +65,7 @@ def enclose(
     settings: FlowSettings,
     progress: Progress = no_progress,
 ) -> list[ChartSegment]:
-    """Enclose all maps of a chain over boxes.
+    """Enclose the maps from chart to chart of a chain over boxes, in order.
 
     Args:
         surface: energy surface.
@@ -76,17 +77,17 @@ def enclose(
     Raises:
         NotClosed: an enclosure does not close; the message names the segment.
     """
-    out = []
+    enclosures = []
     for k, leg in enumerate(chain):
         progress("enclosing the flow", k / len(chain))
         with located(f"in segment {k + 1} of {len(chain)}"):
             before, after = ([ball(v) for v in row] for row in widths[k : k + 2])
-            out.append(segment(surface, leg, before, after, settings))
-    return out
+            enclosures.append(segment(surface, leg, before, after, settings))
+    return enclosures
 
 
 def even(chain: Chain, radius: Any) -> list[list[Any]]:
-    """Return half-widths (K + 1, 2) of boxes of one radius.
+    """Return half-widths (K + 1, 2) of boxes of the same radius for all charts of a chain.
 
     Args:
         chain: legs (K,).
@@ -112,11 +113,14 @@ class KantorovichBounds:
 
 
 def newton(segments: Sequence[ChartSegment], radius: Any) -> KantorovichBounds:
-    """Apply the theorem to a closed chain over boxes of one radius.
+    """Apply the theorem of Newton–Kantorovich to a closed chain over boxes of one radius.
 
     Args:
         segments: enclosures over the boxes, in order.
         radius: half-width in both coordinates.
+
+    Returns:
+        Bounds, which prove the orbit or not, and the Newton step from the nodes.
     """
     size = 2 * len(segments)
     rows = [[flint.arb(0)] * size for _ in range(size)]
@@ -126,15 +130,15 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> KantorovichBounds:
             rows[2 * k + i][(2 * k + 2 + i) % size] -= 1
     inverse = columns(np.linalg.inv(np.array([[float(v.mid()) for v in row] for row in rows])).tolist())
     step = (inverse * columns([[-v] for piece in segments for v in piece.value])).entries()
-    off = (inverse * columns(rows)).tolist()
-    sums = [sum((abs(v - int(i == j)) for j, v in enumerate(row)), flint.arb(0)) for i, row in enumerate(off)]
+    product = (inverse * columns(rows)).tolist()
+    sums = [sum((abs(v - int(i == j)) for j, v in enumerate(row)), flint.arb(0)) for i, row in enumerate(product)]
     residual, contraction = largest(step), largest(sums)
     exists = flint.arb((residual / (1 - contraction)).upper())
     return KantorovichBounds(residual, contraction, exists, ball(radius), [float(v.mid()) for v in step])
 
 
 def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], bounds: KantorovichBounds) -> Chain:
-    """Return the chain after a Newton step, rounded to decimals.
+    """Return the chain after a Newton step, with the durations up to the moved sections, rounded to decimals.
 
     Args:
         surface: energy surface.
@@ -153,7 +157,7 @@ def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], b
 
 
 def multipliers(segments: Sequence[ChartSegment]) -> tuple[Any, Any] | None:
-    """Return the multipliers, the unstable first, or None if not hyperbolic.
+    """Return enclosures of the Floquet multipliers λ and 1/λ of a closed orbit, or None if |λ| > 1 is not proved.
 
     The segments' derivatives are enclosed over boxes that contain the orbit.
 

@@ -106,7 +106,7 @@ class Energies:
 
     @classmethod
     def of(cls, energy: Any, within: Any = 0) -> "Energies":
-        """Return energies whose numbers are the shortest decimals that represent the given ones.
+        """Return energies as exact numbers: the shortest decimals that represent given doubles.
 
         Args:
             energy: float, a number whose text is a decimal, or energies, which are returned.
@@ -117,11 +117,12 @@ class Energies:
         return cls(*(Fraction(repr(v) if isinstance(v, float) else str(v)) for v in (energy, within)))
 
     def __str__(self) -> str:
+        """Return the energies as a certificate's statement names them: one energy, or each energy of an interval."""
         return energies_stated(self.middle, self.within)
 
 
 def surface_of(system: System, energies: Energies) -> Surface:
-    """Return the energy surfaces of a system at the working precision.
+    """Return the surfaces of constant energy of a system, with exact parameters, at the working precision.
 
     Parameters are the decimals of the model's file, or else the shortest decimals that read as their doubles.
 
@@ -141,7 +142,7 @@ def surface_of(system: System, energies: Energies) -> Surface:
 
 
 def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -> Proof:
-    """Run a proof at a precision and convert failures to verdicts.
+    """Return the proof that `work` computes at a precision, or a verdict with the step that does not close.
 
     Args:
         kind: kind of the proof.
@@ -149,17 +150,17 @@ def attempted(kind: str, statement: str, bits: int, work: Callable[[], Proof]) -
         bits: precision, bits.
         work: function that returns the proof or raises NotClosed.
     """
-    begun = time.perf_counter()
+    begin = time.perf_counter()
     try:
         with working(bits):
             proof = work()
     except (NotClosed, ZeroDivisionError, np.linalg.LinAlgError) as error:
         proof = Proof(kind, False, f"not proved: {error}", statement, {}, 0.0)
-    return replace(proof, seconds=time.perf_counter() - begun)
+    return replace(proof, seconds=time.perf_counter() - begin)
 
 
 def plain(value: Any) -> Any:
-    """Return exact numbers as decimals, and sequences as lists.
+    """Return the content of a certificate as JSON values: exact numbers as decimals, and sequences as lists.
 
     Args:
         value: nested mappings, lists and numbers.
@@ -200,7 +201,7 @@ def certificate(system: System, energies: Energies, content: Mapping[str, Any]) 
 
 
 def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a certificate with its statement and digest.
+    """Return a certificate's content with its statement, which is composed from its numbers, and with its digest.
 
     Args:
         document: its other numbers.
@@ -232,9 +233,9 @@ def orbit_certificate(
     pair = multipliers(segments)
     if pair is None:
         return None
-    exists = max(100 * float(bounds.exists), _LEAST_RADIUS)
+    radius_of_existence = max(100 * float(bounds.exists), _LEAST_RADIUS)
     durations = [leg.duration for leg in legs]
-    reach = Fraction(exists) * 2 * len(durations)
+    reach = Fraction(radius_of_existence) * 2 * len(durations)
     content = {
         "nodes": [leg.first.node for leg in legs],
         "normals": [
@@ -243,8 +244,8 @@ def orbit_certificate(
         ],
         "durations": durations,
         "turns": legs[-1].shift,
-        "exists": f"{exists:.3e}",
-        "unique": f"{max(_UNIQUE, 10 * exists):.3e}",
+        "exists": f"{radius_of_existence:.3e}",
+        "unique": f"{max(_UNIQUE, 10 * radius_of_existence):.3e}",
         "period": [sum(durations) - reach, sum(durations) + reach],
         "multiplier_exceeds": f"{0.9 * float(abs(pair[0])):.3e}",
         "symbols": list(claims),
@@ -298,7 +299,7 @@ def prove_orbit(
     settings: ProofSettings | None = None,
     progress: Progress = no_progress,
 ) -> Proof:
-    """Prove existence, uniqueness and hyperbolicity of a periodic orbit.
+    """Prove that a periodic orbit exists, is unique nearby and is hyperbolic.
 
     Newton steps in balls refine the orbit's nodes. The theorem is then applied once with a ball of uniqueness.
     The period and the multipliers are enclosed over a ball that contains the orbit.
@@ -323,31 +324,34 @@ def prove_orbit(
     )
 
     def work() -> Proof:
+        """Return the proof; NotClosed is raised at the first step that does not close."""
         surface = surface_of(system, energy)
         chain = closed_chain(system, *orbit_nodes(orbit, count), [0] * 4)
         segments, bounds = proved_chain(surface, chain, settings, part_of(progress, 0.0, 0.25))
         fine = replace(settings.flow, order=44, left=1e-28)
         # After two Newton steps, the theorem is applied to nodes accurate to the precision.
-        for begun in (0.25, 0.5):
+        for share in (0.25, 0.5):
             chain = improved(surface, chain, segments, bounds)
-            segments = enclose(surface, chain, even(chain, bounds.unique), fine, part_of(progress, begun, begun + 0.25))
+            segments = enclose(surface, chain, even(chain, bounds.unique), fine, part_of(progress, share, share + 0.25))
             bounds = newton(segments, bounds.unique)
         if not bounds.proved:
             raise NotClosed("the theorem holds at the initial nodes, but not at the refined ones")
         # These boxes for period and multipliers contain the proved orbit.
-        narrow = bounds.exists * 1000 + flint.arb(1) / 10**24
-        sharp = enclose(surface, chain, even(chain, narrow), replace(fine, box_order=40), part_of(progress, 0.75, 1.0))
-        pair = multipliers(sharp)
-        period, within = total_time(sharp, bounds.exists), [symmetric(bounds.exists)] * 2
-        at_start, _ = chain[0].first.lift(surface.field, surface.energy, within)
+        narrow_radius = bounds.exists * 1000 + flint.arb(1) / 10**24
+        narrow_segments = enclose(
+            surface, chain, even(chain, narrow_radius), replace(fine, box_order=40), part_of(progress, 0.75, 1.0)
+        )
+        pair = multipliers(narrow_segments)
+        period, start_box = total_time(narrow_segments, bounds.exists), [symmetric(bounds.exists)] * 2
+        start_state, _ = chain[0].first.lift(surface.field, surface.energy, start_box)
         figures = {
             "period": period.str(30),
             "multipliers": None if pair is None else [v.str(20) for v in pair],
             "exists_within": bound(bounds.exists),
             "unique_within": bound(bounds.unique, lower=True),
             "contraction": bound(bounds.contraction),
-            "state": [v.str(30) for v in at_start],
-            "steps": sum(len(segment.spans) for segment in sharp),
+            "state": [v.str(30) for v in start_state],
+            "steps": sum(len(segment.spans) for segment in narrow_segments),
         }
         if pair is None:
             return Proof(
@@ -356,14 +360,14 @@ def prove_orbit(
             )  # fmt: skip
         return Proof(
             "orbit", True, f"proved: {_unique(bounds, count)}", stated, figures, 0.0,
-            orbit_certificate(system, energy, chain, (sharp, bounds)),
+            orbit_certificate(system, energy, chain, (narrow_segments, bounds)),
         )  # fmt: skip
 
     return attempted("orbit", stated, settings.bits, work)
 
 
 def _unique(bounds: KantorovichBounds, count: int) -> str:
-    """Return the words on existence and uniqueness of an orbit."""
+    """Return the words of a verdict: exactly one orbit closes after `count` sections within the proved radii."""
     return (
         f"exactly one orbit within {bound(bounds.unique, lower=True)} of the nodes {passing(count)}, with the enclosed "
         f"flight times; it is within {bound(bounds.exists)}"
@@ -456,6 +460,8 @@ def prove_network(
 ) -> Proof:
     """Prove connections or an open walk by covering relations, or the graph of all connections with its entropy.
 
+    A connection that is not proved fails the proof, except in a graph, which is then proved without it.
+
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
         flights: computed connections or one open walk.
@@ -471,18 +477,18 @@ def prove_network(
     if not flights:
         raise InputError("no connections to prove; find some with `dpcontrol connect`")
     routes, system = [Route.of(flight) for flight in flights], flights[0].orbit.system
-    joined = [(route.stops[0], route.stops[-1]) for route in routes]
+    end_orbits = [(route.stops[0], route.stops[-1]) for route in routes]
     # Connections have equal copies of an orbit.
-    near = {(stop.saddle, stop.period): stop for pair in joined for stop in pair}
-    ends = [[list(near).index((stop.saddle, stop.period)) for stop in pair] for pair in joined]
+    orbits = {(stop.saddle, stop.period): stop for pair in end_orbits for stop in pair}
+    ends = [[list(orbits).index((stop.saddle, stop.period)) for stop in pair] for pair in end_orbits]
     stated = f"{system.name} at {energy}: {network_stated(kind, routes)}"
 
     def work() -> Proof:
         surface, failed = surface_of(system, energy), list[str]()
         enclosure = enclosure_of(surface, system.scale, settings.links)
-        numbers = [orbit_data(orbit, settings.box, tilted=energy.within > 0) for orbit in near.values()]
-        network, rows, kept = Network([], [], enclosure), list[dict[str, Any]](), list[Route]()
-        for (saddle, _), data in zip(near, numbers, strict=True):
+        numbers = [orbit_data(orbit, settings.box, tilted=energy.within > 0) for orbit in orbits.values()]
+        network, link_figures, proved = Network([], [], enclosure), list[dict[str, Any]](), list[Route]()
+        for (saddle, _), data in zip(orbits, numbers, strict=True):
             with located(f"the orbit about {saddle}:"):
                 network.orbits.append(orbit_boxes(data, enclosure))
         for k, (route, pair) in enumerate(zip(routes, ends, strict=True)):
@@ -494,38 +500,41 @@ def prove_network(
                     raise NotClosed("the cones of both manifolds are not proved to be disjoint")
                 state = [x.str(8) for x in link.legs[link.marks[0]].start]
                 degrees = None if angle is None else angle.str(8, more=True)
-                rows.append({"name": route.name, "angle_deg": degrees, "state": state})
+                link_figures.append({"name": route.name, "angle_deg": degrees, "state": state})
                 network.links.append(link)
-                kept.append(route)
+                proved.append(route)
             except NotClosed as error:
                 failed.append(f"{route.name}: {error}")
         if kind == "graph":
             # Walks on these links are realised without the others.
             apart = network.apart()
-            failed += [f"{kept[k].name}: not proved to be apart" for k in range(len(kept)) if k not in apart]
-            rows, kept = [rows[k] for k in apart], [kept[k] for k in apart]
+            failed += [f"{proved[k].name}: not proved to be apart" for k in range(len(proved)) if k not in apart]
+            link_figures, proved = [link_figures[k] for k in apart], [proved[k] for k in apart]
             network = replace(network, links=[network.links[k] for k in apart])
-        figures: dict[str, Any] = {"box": settings.box, "links": rows, "failed": failed}
-        if failed and not (kind == "graph" and rows):
+        figures: dict[str, Any] = {"box": settings.box, "links": link_figures, "failed": failed}
+        if failed and not (kind == "graph" and link_figures):
             status = f"not proved: {len(failed)} of {len(routes)} ({failed[0]})"
             return Proof(kind, False, status, stated, figures, 0.0)
         claims = network_claims(network, kind)
         content = {"orbits": numbers, "links": [link.data for link in network.links], **claims}
         content.pop("least", None)
-        status = network_status(kind, [row["angle_deg"] for row in rows], claims)
+        status = network_status(kind, [row["angle_deg"] for row in link_figures], claims)
         status += f"; left out: {counted(len(failed), 'connection')}" * bool(failed)
-        proved = f"{system.name} at {energy}: {network_stated(kind, kept)}"
-        return Proof(kind, True, status, proved, figures | claims, 0.0, certificate(system, energy, content))
+        conclusion = f"{system.name} at {energy}: {network_stated(kind, proved)}"
+        return Proof(kind, True, status, conclusion, figures | claims, 0.0, certificate(system, energy, content))
 
     return attempted(kind, stated, settings.bits, work)
 
 
 def over_range(energies: Energies, prove: Callable[[Energies], Proof]) -> Proof:
-    """Prove a statement for an interval of energies, piece by piece: where it does not close, half as wide.
+    """Prove a statement for an interval of energies piece by piece, with narrower pieces if a proof does not close.
 
     Args:
         energies: interval to cover.
         prove: function that computes and proves the statement for a piece of it.
+
+    Returns:
+        The proof with the weakest claim of all pieces, or the failed proof of a piece that cannot be narrower.
     """
     low, high, half = energies.middle - energies.within, energies.middle + energies.within, energies.within
     pieces = list[Proof]()
@@ -541,9 +550,11 @@ def over_range(energies: Energies, prove: Callable[[Energies], Proof]) -> Proof:
             half /= 2
     if len(pieces) == 1:
         return pieces[0]
-    found = [piece.figures for piece in pieces]
-    figures = {"pieces": found} | {
-        key: worst(row[key] for row in found) for key, worst in (("wraps", max), ("entropy", min)) if key in found[0]
+    figures_of_pieces = [piece.figures for piece in pieces]
+    figures = {"pieces": figures_of_pieces} | {
+        key: worst(piece_figures[key] for piece_figures in figures_of_pieces)
+        for key, worst in (("wraps", max), ("entropy", min))
+        if key in figures_of_pieces[0]
     }
     weakest = min(pieces, key=lambda piece: piece.figures.get("entropy", 0.0))
     status = f"{weakest.status}; this or more holds in each of {len(pieces)} intervals, which cover {energies}"
@@ -562,6 +573,9 @@ def network_claims(network: Network, kind: str) -> dict[str, Any]:
         network: proved links.
         kind: "connection", "walk", "horseshoe" or "graph".
 
+    Returns:
+        "wraps", "entropy" per time unit, and "least", the fewest wraps (L, L) between links; nothing for other kinds.
+
     Raises:
         NotClosed: orbits of different walks are not proved to separate.
     """
@@ -570,6 +584,7 @@ def network_claims(network: Network, kind: str) -> dict[str, Any]:
     if kind not in ("horseshoe", "graph"):
         return {}
     least, low, high = network.fewest_wraps(), 0, 10_000_000
+    # The entropy is bisected in multiples of 1e-5 per time unit.
     while high - low > 1:
         middle = (low + high) // 2
         # Other enclosures of durations need the relative margin of 1e-6.
@@ -578,7 +593,7 @@ def network_claims(network: Network, kind: str) -> dict[str, Any]:
 
 
 def network_stated(kind: str, routes: Sequence[Route]) -> str:
-    """Return the claim on links, in words.
+    """Return the statement that a proof of links aims at, in words.
 
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
@@ -599,7 +614,7 @@ def network_stated(kind: str, routes: Sequence[Route]) -> str:
 
 
 def network_status(kind: str, angles: Sequence[str | None], claims: Mapping[str, Any]) -> str:
-    """Return the verdict on proved links.
+    """Return the verdict on proved links in words.
 
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
@@ -608,14 +623,14 @@ def network_status(kind: str, angles: Sequence[str | None], claims: Mapping[str,
     """
     if kind == "walk":
         return "proved: an orbit leads from orbit to orbit in boxes about the computed one, and follows its symbols"
-    after = (
+    walks_and_entropy = (
         "; every walk on them, open or closed, with at least {wraps} wraps at each stop is realised by an orbit, and "
         "the topological entropy is at least {entropy} per second"
     )
-    across = len(angles) - angles.count(None)
+    transversal_count = len(angles) - angles.count(None)
     links = (
-        counted(across, "distinct transversal connection")
-        if across == len(angles)
-        else f"{counted(len(angles), 'distinct connection')}, of which {across} are proved to be transversal"
+        counted(transversal_count, "distinct transversal connection")
+        if transversal_count == len(angles)
+        else f"{counted(len(angles), 'distinct connection')}, of which {transversal_count} are proved to be transversal"
     )
-    return f"proved: {links}" + (after.format(**claims) if claims else "")
+    return f"proved: {links}" + (walks_and_entropy.format(**claims) if claims else "")

@@ -19,7 +19,7 @@ EQUATIONS = {
 
 
 def energies_stated(middle: Fraction, within: Fraction) -> str:
-    """Return the words on the energies of a statement.
+    """Return the words on the energies that a statement holds for, one energy or an interval.
 
     Args:
         middle: an energy.
@@ -31,7 +31,7 @@ def energies_stated(middle: Fraction, within: Fraction) -> str:
 
 
 def interval(data: Mapping[str, Any]) -> tuple[Fraction, Fraction]:
-    """Return the least and the greatest energy of a certificate.
+    """Return the least and the greatest energy that a certificate covers.
 
     Args:
         data: content of the certificate by key.
@@ -41,12 +41,16 @@ def interval(data: Mapping[str, Any]) -> tuple[Fraction, Fraction]:
 
 
 def passing(count: int) -> str:
-    """Return the statement that Newton–Kantorovich proves of an orbit with a number of sections."""
+    """Return the words on an orbit that Newton–Kantorovich proves.
+
+    Args:
+        count: number of its sections.
+    """
     return f"closes after passing its {count} sections once, in order"
 
 
 def statement(data: Mapping[str, Any]) -> str:
-    """Return the statement of a certificate, a sentence per line.
+    """Return the statement that a certificate proves, composed from its numbers, a sentence per line.
 
     Args:
         data: content of the certificate by key.
@@ -64,13 +68,13 @@ def statement(data: Mapping[str, Any]) -> str:
     if "links" in data:
         return "\n".join([*_network(data, angles), *_parameters(data, keys)])
     unique, exists, least = (_exact(data[key]) for key in ("unique", "exists", "multiplier_exceeds"))
-    turned = ", ".join(str(int(k)) for k in data["turns"][:angles])
+    turns_in_words = ", ".join(str(int(k)) for k in data["turns"][:angles])
     return "\n".join(
         [
             f"at {_energies(data)}, exactly one orbit of the {data['system']['equations']} "
             f"{passing(len(data['nodes']))}, within {unique} of the nodes and of the flight times",
             f"it is within {exists} of them and closes after {_sum(data['durations'])} time units"
-            + f", with the turns {turned} of its angles" * bool(angles),
+            + f", with the turns {turns_in_words} of its angles" * bool(angles),
             f"it starts near {_state(map(number, data['nodes'][0]))} and is hyperbolic: a multiplier exceeds {least} "
             "in modulus",
             *(_symbol(data, k, angles) for k in range(len(data["symbols"]))),
@@ -80,11 +84,12 @@ def statement(data: Mapping[str, Any]) -> str:
 
 
 def _parameters(data: Mapping[str, Any], keys: Sequence[str]) -> list[str]:
+    """Return the line on the system's parameters with these keys."""
     return ["parameters: " + "; ".join(f"{key} {', '.join(map(_exact, data['system'][key]))}" for key in keys)]
 
 
 def _network(data: Mapping[str, Any], angles: int) -> list[str]:
-    """Return the sentences on a network of orbits and links."""
+    """Return the sentences on a network of orbits and links; `angles` is the number of coordinates that turn."""
     orbits = counted(len(data["orbits"]), "ring")
     lines = [
         f"at {_energies(data)}, each of {orbits} of boxes contains exactly one orbit of the "
@@ -96,10 +101,10 @@ def _network(data: Mapping[str, Any], angles: int) -> list[str]:
             f"{_state(map(number, orbit['charts'][0]['node']))} and on, with a period near {_sum(orbit['durations'])}"
         )
     for k, link in enumerate(data["links"], start=1):
-        turned = ", ".join(str(int(v)) for v in link["turns"][:angles])
+        turns_in_words = ", ".join(str(int(v)) for v in link["turns"][:angles])
         lines.append(
             f"link {k}: an orbit leads from orbit {int(link['source']) + 1} to orbit {int(link['target']) + 1}"
-            + f", with the turns {turned} of its angles" * bool(angles)
+            + f", with the turns {turns_in_words} of its angles" * bool(angles)
             + f", in boxes of half-widths up to {_widest(link)}"
         )
         lines += [_crossed(link, j, angles) for j in range(len(link["symbols"]))]
@@ -120,7 +125,10 @@ def _network(data: Mapping[str, Any], angles: int) -> list[str]:
 
 
 def _crossed(link: Mapping[str, Any], k: int, angles: int) -> str:
-    """Return the sentence on a symbol of a link, counted from zero."""
+    """Return the sentence on symbol `k` of a link, counted from zero: its section crossings, state and next stop.
+
+    `angles` is the number of coordinates that turn.
+    """
     claim, charts = link["symbols"][k], link["charts"]
     first, second = map(int, claim["hits"])
     sentence = (
@@ -128,9 +136,9 @@ def _crossed(link: Mapping[str, Any], k: int, angles: int) -> str:
         f"is in the box about {_state(map(number, charts[int(claim['node']) - 1]['node']))}"
     )
     if len(claim["states"]) > 1:
-        near, *further = claim["states"]
+        nearest, *others = claim["states"]
         sentence += (
-            f", nearer to {_state(_lifted(near, claim['turns']))} than to {counted(len(further), 'other state')}"
+            f", nearer to {_state(_lifted(nearest, claim['turns']))} than to {counted(len(others), 'other state')}"
         )
     stop = _state(_lifted(claim["stop"], claim["stop_turns"])[:angles])
     return (
@@ -141,40 +149,47 @@ def _crossed(link: Mapping[str, Any], k: int, angles: int) -> str:
 
 
 def _widest(data: Mapping[str, Any]) -> str:
+    """Return the largest half-width of the boxes of an orbit or link, rounded up."""
     return bound(number(max(fraction(v) for row in data["widths"] for v in row)))
 
 
 def _number(value: Any) -> str:
+    """Return a decimal with seven digits."""
     return f"{float(fraction(value)):.7g}"
 
 
 def _sum(values: Iterable[Any]) -> str:
+    """Return the sum of decimals with seven digits."""
     return _number(sum(map(fraction, values)))
 
 
 def _rest(claim: Mapping[str, Any]) -> str:
-    """Return the time after which the next symbol follows."""
+    """Return the time after which the next symbol follows, as that without wraps plus wraps times the period."""
     return f"{_number(claim['rest'])} + {int(claim['wraps'])} · {_number(claim['period'])}"
 
 
 def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
-    """Return the sentence on a symbol, counted from zero."""
+    """Return the sentence on symbol `k` of a closed walk, counted from zero: its stops, crossings, node and wraps.
+
+    `angles` is the number of coordinates that turn.
+    """
     claims, count = data["symbols"], len(data["nodes"])
     claim, before, after = claims[k], claims[k - 1], claims[(k + 1) % len(claims)]
     first, second = map(int, claim["hits"])
-    near, *further = claim["states"]
-    node, following = int(claim["node"]), int(after["node"]) + count * (k + 1 == len(claims))
-    stay = _sum(data["durations"][i % count] for i in range(node, following))
-    leaves, enters = (
+    nearest, *other_states = claim["states"]
+    node, next_node = int(claim["node"]), int(after["node"]) + count * (k + 1 == len(claims))
+    stay = _sum(data["durations"][i % count] for i in range(node, next_node))
+    first_angles, last_angles = (
         _state(_lifted(place["stop"], turns)[:angles])
         for place, turns in ((before, claim["turns"]), (claim, claim["stop_turns"]))
     )
     return (
         f"symbol {k + 1}: "
-        + f"from within half a turn of the angles {leaves} to within half a turn of {enters}, " * bool(angles)
+        + f"from within half a turn of the angles {first_angles} to within half a turn of {last_angles}, "
+        * bool(angles)
         + f"it crosses the section {_section(claim['section'])} {counted(first + second - 1, 'time')}; at crossing "
-        f"{first}, node {node + 1} is within {_distance(data, claim)} of {_state(map(number, near))}"
-        + f", nearer than to {counted(len(further), 'other state')}" * bool(further)
+        f"{first}, node {node + 1} is within {_distance(data, claim)} of {_state(map(number, nearest))}"
+        + f", nearer than to {counted(len(other_states), 'other state')}" * bool(other_states)
         + f"; the next symbol's node follows after {stay}, nearest to {_rest(claim)}"
     )
 
@@ -186,15 +201,17 @@ def _energies(data: Mapping[str, Any]) -> str:
 
 
 def _exact(value: Any) -> str:
+    """Return an integer or a decimal with all its digits."""
     return decimal(fraction(value)).lower()
 
 
 def _lifted(state: Sequence[Any], turns: Sequence[Any]) -> list[Any]:
-    """Return a state with whole turns added, as balls."""
+    """Return a state (N,) of decimals with whole turns (N,) added, as balls."""
     return [number(x) + 2 * flint.arb.pi() * int(k) for x, k in zip(state, turns, strict=True)]
 
 
 def _state(values: Iterable[Any]) -> str:
+    """Return the midpoints of a state (N,) of balls in brackets, with four decimals."""
     # Adding zero turns -0.0 into 0.0.
     return f"({', '.join(f'{round(float(v.mid()), 4) + 0.0:.4f}' for v in values)})"
 
@@ -208,7 +225,7 @@ def _distance(data: Mapping[str, Any], claim: Mapping[str, Any]) -> str:
 
 
 def _section(section: Mapping[str, Any]) -> str:
-    """Return a section's equation, with its condition if there is one."""
+    """Return a section's equation in the coordinates x1 … x4, with its condition if there is one."""
     normal, side = (
         " + ".join(f"{_exact(v)} x{i}" for i, v in enumerate(section[key], start=1) if fraction(v))
         for key in ("normal", "side")

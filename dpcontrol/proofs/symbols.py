@@ -36,7 +36,7 @@ def dot(first: Sequence[Any], second: Sequence[Any]) -> Any:
 
 
 def described(section: Any) -> dict[str, Any]:
-    """Return the numbers of a Poincaré section as decimals.
+    """Return a Poincaré section as decimals, which certificates hold and `crossings` reads.
 
     Args:
         section: section with normal (N,) and side.
@@ -53,7 +53,7 @@ def described(section: Any) -> dict[str, Any]:
 
 
 def period_of(section: Mapping[str, Any]) -> Any:
-    """Return the period of a section's normal coordinate.
+    """Return the period of a section's height as a ball: the distance of neighbouring sheets of the section.
 
     Args:
         section: numbers of `described`.
@@ -76,23 +76,23 @@ def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callab
     rows = ([number(v) for v in row] for row in (section["normal"], section["side"], lengths))
     (normal, side, (offset, middle, reach)), period = rows, period_of(section)
     sheets = [((dot(normal, box) - offset) / period).floor().unique_fmpz() for box in boxes]
-    clear = [k for k, sheet in enumerate(sheets) if sheet is not None]
-    if not clear or clear[0] > 0 or clear[-1] + 1 < len(boxes):
+    clear_boxes = [k for k, sheet in enumerate(sheets) if sheet is not None]
+    if not clear_boxes or clear_boxes[0] > 0 or clear_boxes[-1] + 1 < len(boxes):
         raise NotClosed("the trajectory begins or ends on its section")
-    out: list[range] = []
-    for first, last in pairwise(clear):
-        passed, near = abs(int(sheets[last]) - int(sheets[first])), boxes[first + 1 : last]
-        beyond = [dot(side, box) - middle for box in near]
+    found_crossings: list[range] = []
+    for first, last in pairwise(clear_boxes):
+        sheet_changes, boxes_between = abs(int(sheets[last]) - int(sheets[first])), boxes[first + 1 : last]
+        side_heights = [dot(side, box) - middle for box in boxes_between]
         if section["reach"] is not None:
-            beyond = [abs(v) - reach for v in beyond]
-        if not near and passed:
+            side_heights = [abs(v) - reach for v in side_heights]
+        if not boxes_between and sheet_changes:
             raise NotClosed("a step's enclosure jumps over a section")
-        if near and not all(v <= 0 for v in beyond):
-            speeds = [dot(normal, rates(box)) for box in near]
-            if not all(v > 0 for v in beyond) or not (all(v > 0 for v in speeds) or all(v < 0 for v in speeds)):
+        if boxes_between and not all(v <= 0 for v in side_heights):
+            speeds = [dot(normal, rates(box)) for box in boxes_between]
+            if not all(v > 0 for v in side_heights) or not (all(v > 0 for v in speeds) or all(v < 0 for v in speeds)):
                 raise NotClosed("the enclosures do not determine the number of section crossings")
-            out += [range(first + 1, last)] * passed
-    return out
+            found_crossings += [range(first + 1, last)] * sheet_changes
+    return found_crossings
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Enclosed:
     closed: bool = True
 
     def away(self, box: Vector, state: Sequence[str], turns: Sequence[int]) -> Vector:
-        """Return the difference of a box and a lifted state.
+        """Return the difference (N,) of a box of states and a computed state with whole turns added.
 
         Args:
             box: box of states (N,).
@@ -131,7 +131,7 @@ class Enclosed:
 
 
 def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
-    """Prove that an orbit follows its symbols.
+    """Prove that an orbit follows the symbols of a walk: their sections, connections, windings and wraps.
 
     An open orbit has no next mark after its last symbol, and therefore no wraps there.
 
@@ -143,19 +143,28 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
         NotClosed: the boxes do not prove a claim.
     """
     count, nodes = len(flown.flights), [claim["node"] for claim in claims]
+    # First segment, marked node and last segment of each symbol rise along the orbit.
     edges = [edge for claim in claims for edge in (claim["segments"][0], claim["node"], claim["segments"][1])]
-    lifts = [lift for claim in claims for lift in (claim["turns"], claim["stop_turns"])]
-    joined = [edge + 1 for edge in edges[2:-1:3]] == edges[3::3] and (edges[0], edges[-1]) == (0, count - 1)
-    if not joined or edges != sorted(edges) or [[0] * 4, *lifts[1::2]] != [*lifts[::2], list(flown.turns)]:
+    turn_counts = [turn_count for claim in claims for turn_count in (claim["turns"], claim["stop_turns"])]
+    symbols_adjoin = [edge + 1 for edge in edges[2:-1:3]] == edges[3::3] and (edges[0], edges[-1]) == (0, count - 1)
+    if (
+        not symbols_adjoin
+        or edges != sorted(edges)
+        or [[0] * 4, *turn_counts[1::2]] != [*turn_counts[::2], list(flown.turns)]
+    ):
         raise NotClosed("the symbols do not follow one another along the orbit")
-    for k, (claim, following) in enumerate(zip(claims, [*nodes[1:], nodes[0] + count], strict=True), start=1):
+    for k, (claim, next_node) in enumerate(zip(claims, [*nodes[1:], nodes[0] + count], strict=True), start=1):
         first, node, last = (int(edge) for edge in (claim["segments"][0], claim["node"], claim["segments"][1]))
-        stopped = flown.away(flown.flights[last][len(flown.flights[last]) // 2], claim["stop"], claim["stop_turns"])
-        gaps = [flown.away(flown.nodes[node], state, claim["turns"]) for state in claim["states"]]
-        distances = [largest([v / s for v, s in zip(gap, flown.scale, strict=True)]) for gap in gaps]
-        stay = sum((flown.times[i % count] for i in range(node, following)), flint.arb(0))
-        section, begun = claim["section"], flown.flights[node][0]
-        level = dot([number(v) for v in section["normal"]], begun) - number(section["offset"])
+        stop_difference = flown.away(
+            flown.flights[last][len(flown.flights[last]) // 2], claim["stop"], claim["stop_turns"]
+        )
+        state_differences = [flown.away(flown.nodes[node], state, claim["turns"]) for state in claim["states"]]
+        distances = [
+            largest([v / s for v, s in zip(difference, flown.scale, strict=True)]) for difference in state_differences
+        ]
+        stay = sum((flown.times[i % count] for i in range(node, next_node)), flint.arb(0))
+        section, node_box = claim["section"], flown.flights[node][0]
+        level = dot([number(v) for v in section["normal"]], node_box) - number(section["offset"])
         with located(f"symbol {k} of {len(claims)}:"):
             if not folded(level, period_of(section)).contains(0):
                 raise NotClosed("its marked node is not on its section")
@@ -165,13 +174,19 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
                 flown.rates,
             )
             # The marked node is in the last box before it and in the first one after it.
-            at = sum(len(boxes_of_flight) for boxes_of_flight in flown.flights[first:node])
-            hits = [(k + 1, len(crossed) - k) for k, boxes in enumerate(crossed) if at in boxes and at - 1 in boxes]
+            node_index = sum(len(boxes_of_flight) for boxes_of_flight in flown.flights[first:node])
+            hits = [
+                (k + 1, len(crossed) - k)
+                for k, boxes in enumerate(crossed)
+                if node_index in boxes and node_index - 1 in boxes
+            ]
             if hits != [tuple(int(v) for v in claim["hits"])]:
                 raise NotClosed(
                     f"its marked node has the hits {hits} among {len(crossed)} crossings, not {claim['hits']}"
                 )
-            if not all(abs(v) < flint.arb.pi() for v, turning in zip(stopped, flown.angles, strict=True) if turning):
+            if not all(
+                abs(v) < flint.arb.pi() for v, turning in zip(stop_difference, flown.angles, strict=True) if turning
+            ):
                 raise NotClosed("the whole turns up to the next stop differ from those of the walk")
             if not all(distances[0] < other for other in distances[1:]):
                 raise NotClosed("the orbit is not proved to be nearer to its connection than to all others")
@@ -183,7 +198,7 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
 
 
 def whole_number(rounds: Any) -> int:
-    """Return the nearest whole number of rounds.
+    """Return the whole number that is nearest to all numbers of a ball, such as the wraps of a stop.
 
     Args:
         rounds: ball.

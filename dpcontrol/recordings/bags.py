@@ -46,7 +46,7 @@ def is_bag(path: Path) -> bool:
 
 @contextmanager
 def reading(path: Path, kind: str) -> Iterator[None]:
-    """Report any error of a library that reads a file.
+    """Report any error of a library that reads a file as an InputError, since damaged files raise errors of many kinds.
 
     Args:
         path: the file.
@@ -86,45 +86,62 @@ def read_bag(path: Path, columns: Sequence[str], *, optional: Collection[str] = 
     with reading(path, "a bag"):
         store = types.get_typestore(types.Stores.ROS2_HUMBLE)
         with rosbags.AnyReader([path], default_typestore=store) as bag:
-            named = [name for name in columns if name not in (LOG_TIME, SEGMENT)]
-            topics = {name: _topic(name, sorted(bag.topics), path) for name in named}
-            tables = {topic: _table(bag, topic, [k for k in named if topics[k] == topic]) for topic in topics.values()}
-    moments = tables[topics[named[0]]][LOG_TIME]
-    columns_at_moments = {LOG_TIME: moments}
-    if segments := segments_in(record.get("segments", ""), len(moments)):
-        columns_at_moments[SEGMENT] = segment_numbers(segments, len(moments)).astype(float)
+            data_columns = [name for name in columns if name not in (LOG_TIME, SEGMENT)]
+            topics = {name: _topic(name, sorted(bag.topics), path) for name in data_columns}
+            tables = {
+                topic: _table(bag, topic, [k for k in data_columns if topics[k] == topic]) for topic in topics.values()
+            }
+    sample_times = tables[topics[data_columns[0]]][LOG_TIME]
+    sampled_columns = {LOG_TIME: sample_times}
+    if segments := segments_in(record.get("segments", ""), len(sample_times)):
+        sampled_columns[SEGMENT] = segment_numbers(segments, len(sample_times)).astype(float)
     for name, topic in topics.items():
         if name in tables[topic]:
-            columns_at_moments[name] = np.interp(
-                moments, tables[topic][LOG_TIME], tables[topic][name], left=np.nan, right=np.nan
+            sampled_columns[name] = np.interp(
+                sample_times, tables[topic][LOG_TIME], tables[topic][name], left=np.nan, right=np.nan
             )
         elif name not in optional:
             raise InputError(f"{path}: {name} holds no numbers in any message; check file and mapping")
-    covered = _covered(path, moments, [table[LOG_TIME] for table in tables.values()])
-    return {name: values[covered] for name, values in columns_at_moments.items() if name in columns}
+    covered = _covered(path, sample_times, [table[LOG_TIME] for table in tables.values()])
+    return {name: values[covered] for name, values in sampled_columns.items() if name in columns}
 
 
 def _covered(path: Path, moments: Array, times: Sequence[Array]) -> NDArray[np.bool_]:
-    """Mark the samples that all topics cover, and remark on others."""
-    begin, end = max(moment[0] for moment in times), min(moment[-1] for moment in times)
+    """Mark the samples (K,) that all topics cover, and tell the user how much is left out.
+
+    `moments` (K,) are the samples' times, and `times` those of each topic's messages, s.
+
+    Raises:
+        InputError: no sample is covered.
+    """
+    begin, end = max(topic_times[0] for topic_times in times), min(topic_times[-1] for topic_times in times)
     covered = (moments >= begin) & (moments <= end)
     if not covered.any():
         raise InputError(f"{path}: no time has values of all columns; map topics that were recorded together")
-    if left := float(np.ptp(moments) - np.ptp(moments[covered])):
-        remark(f"{path}: left out {quantity(left, 's')}, for which some topics have no values")
+    if omitted := float(np.ptp(moments) - np.ptp(moments[covered])):
+        remark(f"{path}: left out {quantity(omitted, 's')}, for which some topics have no values")
     return covered
 
 
 def _topic(name: str, topics: Sequence[str], path: Path) -> str:
-    """Return the topic with which a column's name begins."""
-    fitting = [topic for topic in topics if name.startswith((f"{topic}/", f"{topic}."))]
-    if not fitting:
+    """Return the topic with which a column's name begins; the longest, if several do.
+
+    `topics` are the names of the bag's topics.
+
+    Raises:
+        InputError: there is none.
+    """
+    matching_topics = [topic for topic in topics if name.startswith((f"{topic}/", f"{topic}."))]
+    if not matching_topics:
         raise InputError(f"{path}: no topic holds the column {name!r}; {suggest(name, topics)}; check file and mapping")
-    return max(fitting, key=len)
+    return max(matching_topics, key=len)
 
 
 def _table(bag: Any, topic: str, names: Sequence[str]) -> dict[str, Array]:
-    """Return the times of a topic's messages, s, in order, and its columns (K,) that hold numbers."""
+    """Return the times of a topic's messages, s, in order, and its columns (K,) that hold numbers, by name.
+
+    Times are counted from the start of the bag. `names` are the columns' names, each beginning with the topic.
+    """
     connections, start = bag.topics[topic].connections, bag.start_time
     checked_size(8.0 * bag.topics[topic].msgcount * (len(names) + 1))
     rows = []
@@ -139,13 +156,17 @@ def _table(bag: Any, topic: str, names: Sequence[str]) -> dict[str, Array]:
 
 
 def _number(message: Any, path: str, start: int) -> float:
-    """Return the number at the end of a path, NaN if there is none; times are seconds since `start` ns."""
+    """Return the number at the end of a column's path in a message, NaN if there is none.
+
+    A path is "/JOINT/FIELD" in joint states, else fields and indices such as ".data[1]". Times are in seconds since
+    `start` ns.
+    """
     joint, _, field = path[1:].rpartition("/")
     try:
         if joint:
             return float(getattr(message, field)[list(message.name).index(joint)])
-        for step in re.findall(r"\w+", path):
-            message = message[int(step)] if step.isdigit() else getattr(message, step)
+        for name_or_index in re.findall(r"\w+", path):
+            message = message[int(name_or_index)] if name_or_index.isdigit() else getattr(message, name_or_index)
         return (message.sec * 10**9 + message.nanosec - start) / 1e9 if hasattr(message, "nanosec") else float(message)
     except (AttributeError, LookupError, TypeError, ValueError):
         return np.nan

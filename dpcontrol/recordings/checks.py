@@ -49,7 +49,7 @@ Marks = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """K samples of a file in SI units and the package's directions.
+    """K samples of a file in SI units and the package's directions, as checks and repairs receive them.
 
     Attributes:
         where: file and part, for messages.
@@ -80,7 +80,7 @@ class Samples:
         return self.values[:, columns] if columns else None
 
     def at(self, index: int) -> str:
-        """Return "WHERE: row R (t = T s)" for a message.
+        """Return "WHERE: row R (t = T s)", the place of a sample in error messages.
 
         Args:
             index: index of the sample, from 0.
@@ -88,7 +88,7 @@ class Samples:
         return f"{self.where}: row {self.rows[index]} (t = {self.time[index]:.6g} s)"
 
     def taken(self, which: NDArray) -> "Samples":
-        """Return some of the samples.
+        """Return some of the samples, with all their columns.
 
         Args:
             which: True for each chosen sample (K,), or their indices.
@@ -96,7 +96,7 @@ class Samples:
         return replace(self, rows=self.rows[which], time=self.time[which], values=self.values[which])
 
     def cut(self, after: NDArray) -> "list[Samples]":
-        """Return the pieces between cuts.
+        """Return the pieces of the samples between cuts, in order.
 
         Args:
             after: indices of the samples after which to cut.
@@ -106,7 +106,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Repair:
-    """A fault of samples and its repair.
+    """A fault of samples and its repair, an entry of `REPAIRS`.
 
     Attributes:
         help: what the repair does.
@@ -126,6 +126,13 @@ class Repair:
 
 
 def _before_gap(samples: Samples, period: float) -> Marks:
+    """Mark the samples (K,) before a gap in time, at which the repair "gaps" cuts the segment.
+
+    `period` is the nominal period, s, or 0.
+
+    Raises:
+        InputError: the samples have another period than the mapping.
+    """
     steps = np.diff(samples.time)
     spacing = float(np.median(steps))
     if period and not abs(spacing / period - 1) < _UNEVEN:
@@ -139,11 +146,18 @@ def _before_gap(samples: Samples, period: float) -> Marks:
 
 
 def _wrapped(samples: Samples, period: float) -> Marks:
-    most = _JUMP + _FASTEST_RATE * np.diff(samples.time, prepend=samples.time[0])[:, None]
+    """Mark the angles (K, n) that jump by a turn from the sample before, which the repair "wrap" unwraps.
+
+    The arguments are those of `Repair.find`; the period is not needed.
+
+    Raises:
+        InputError: an angle jumps by another amount, which nothing can repair.
+    """
+    largest_turn = _JUMP + _FASTEST_RATE * np.diff(samples.time, prepend=samples.time[0])[:, None]
     angles = samples.values[:, : samples.arms]
     steps = np.abs(np.diff(angles, axis=0, prepend=angles[:1]))
-    wraps = np.abs(steps - 2 * np.pi) < np.minimum(most, 1.5)
-    jumps = (steps > most) & ~wraps
+    wraps = np.abs(steps - 2 * np.pi) < np.minimum(largest_turn, 1.5)
+    jumps = (steps > largest_turn) & ~wraps
     if jumps.any():
         row, arm = np.argwhere(jumps)[0]
         raise InputError(
@@ -154,10 +168,16 @@ def _wrapped(samples: Samples, period: float) -> Marks:
 
 
 def _unwrapped(values: Array, arms: int) -> Array:
+    """Return the values (K, m) with the angles of the arms, the first columns, unwrapped."""
     return np.hstack([np.unwrap(values[:, :arms], axis=0), values[:, arms:]])
 
 
 def _filled(samples: Samples, marks: Marks, period: float) -> list[Samples]:
+    """Return the segments of samples with short holes filled by a cubic, cut at longer holes: the repair "nan".
+
+    `marks` (K, m) are True for missing values. A sample with any of them counts as missing. The arguments are those of
+    `Repair.mend`; the period is not needed.
+    """
     missing: Marks = np.asarray(marks.any(axis=1), dtype=bool)
     values = samples.values.copy()
     if (~missing).sum() < FEWEST_SAMPLES:
@@ -167,6 +187,7 @@ def _filled(samples: Samples, marks: Marks, period: float) -> list[Samples]:
     turns = (finite - values[~missing])[np.maximum(np.cumsum(~missing) - 1, 0)[missing]]
     # A cubic is used because over ten samples a swinging arm leaves a straight line by several counts.
     values[missing] = CubicSpline(samples.time[~missing], finite)(samples.time[missing]) - turns
+    # Long holes, and those at the ends, are not filled.
     for first, end in true_runs(missing):
         missing[first:end] = end - first > _FILLED_IN_A_ROW or first == 0 or end == len(missing)
     filled = replace(samples, values=values)
@@ -174,26 +195,37 @@ def _filled(samples: Samples, marks: Marks, period: float) -> list[Samples]:
 
 
 def _smooth(samples: Samples) -> Array:
-    """Return the values with medians of five as rates."""
+    """Return the values (K, m) with medians of five as rates, by which outlying rates are found and replaced.
+
+    The rates are the columns whose names begin with `RATE`.
+    """
     rates = [name.startswith(RATE) for name in samples.names]
     return np.where(rates, median_filter(samples.values, size=(5, 1), mode="nearest"), samples.values)
 
 
 def _grid(samples: Samples, period: float) -> tuple[Array, float]:
-    """Return even times (K,) from the first time on, and their spacing, s."""
+    """Return even times (K,), s, from the first time on, and their spacing, s, from the period or a fitted line."""
     rows = np.arange(len(samples.time))
     spacing = period or float(np.polyfit(rows, samples.time, 1)[0])
     return samples.time[0] + spacing * rows, spacing
 
 
 def _uneven(samples: Samples, period: float) -> Marks:
+    """Mark the samples (K,) whose step of time differs from the spacing, or whose time leaves the even grid.
+
+    `period` is the nominal period, s, or 0.
+    """
     grid, spacing = _grid(samples, period)
-    off = np.abs(np.diff(samples.time, append=samples.time[-1] + spacing) - spacing)
+    step_errors = np.abs(np.diff(samples.time, append=samples.time[-1] + spacing) - spacing)
     drift = np.abs(samples.time - grid)
-    return (off > _UNEVEN * spacing) | (drift > max(_UNEVEN * spacing, 1e-4 * np.ptp(samples.time)))
+    return (step_errors > _UNEVEN * spacing) | (drift > max(_UNEVEN * spacing, 1e-4 * np.ptp(samples.time)))
 
 
 def _interpolated(samples: Samples, marks: Marks, period: float) -> list[Samples]:
+    """Return the samples at even times, interpolated by cubics: the repair "sampling".
+
+    The arguments are those of `Repair.mend`; the marks are not needed.
+    """
     grid, spacing = _grid(samples, period)
     even = grid[: int(np.ptp(samples.time) / spacing + 1e-6) + 1]
     rows = samples.rows[np.searchsorted(samples.time, even, side="right") - 1]
@@ -266,17 +298,21 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
                 sound.append(segment)
                 continue
             row, column = np.argwhere(marks)[0]
-            count, what = int(marks.any(axis=1).sum()), repair.fault.format(column=segment.names[column])
-            fault = f"{segment.at(row)}: {what} ({count} such rows)"
+            count, fault_text = int(marks.any(axis=1).sum()), repair.fault.format(column=segment.names[column])
+            fault = f"{segment.at(row)}: {fault_text} ({count} such rows)"
             if count > repair.most * len(marks):
                 raise InputError(f"{fault}; too many to repair: check columns, units and sampling in the mapping")
             if name not in repairs:
                 raise InputError(f"{fault}; correct the recording, or give --repair {name}: {repair.help}")
             pieces = repair.mend(segment, marks, period)
-            long = [piece for piece in pieces if len(piece.time) >= FEWEST_SAMPLES]
-            sound += long
-            short = f", and {len(pieces) - len(long)} pieces of too few samples dropped" if long != pieces else ""
-            notes.append(f"{samples.where}: {count} rows {repair.note}{short}")
+            usable_pieces = [piece for piece in pieces if len(piece.time) >= FEWEST_SAMPLES]
+            sound += usable_pieces
+            dropped = (
+                f", and {len(pieces) - len(usable_pieces)} pieces of too few samples dropped"
+                if usable_pieces != pieces
+                else ""
+            )
+            notes.append(f"{samples.where}: {count} rows {repair.note}{dropped}")
         segments = sound
     if not segments:
         raise InputError(f"{samples.where} has too few samples: a segment needs {FEWEST_SAMPLES} or more")
@@ -298,7 +334,7 @@ _WINDOW = 0.04
 
 
 def check_plausible(segments: Sequence[Samples], spacing: float, *, file: str) -> None:
-    """Reject a recording that contradicts its mapping.
+    """Reject a recording that contradicts its mapping in units, columns, signs or zero.
 
     Args:
         segments: segments of the recording.
@@ -310,10 +346,10 @@ def check_plausible(segments: Sequence[Samples], spacing: float, *, file: str) -
     """
     angles = [segment.values[:, : segment.arms] for segment in segments]
     derivative = np.concatenate([smoothed_derivative(part, spacing, window=_WINDOW) for part in angles])
-    fastest = float(np.percentile(np.abs(derivative), 99))
-    if fastest > _FASTEST:
+    high_rate = float(np.percentile(np.abs(derivative), 99))
+    if high_rate > _FASTEST:
         raise InputError(
-            f"{file}: the angles turn at {fastest:.4g} rad/s, and no bench's arm does more than {_FASTEST:g}; "
+            f"{file}: the angles turn at {high_rate:.4g} rad/s, and no bench's arm does more than {_FASTEST:g}; "
             "check the unit of angles and time in the mapping (degrees taken for rad? counts? ms?)"
         )
     rates = [
@@ -327,8 +363,8 @@ def check_plausible(segments: Sequence[Samples], spacing: float, *, file: str) -
     if segments[0].of(CART) is None and segments[0].of(COMMAND) is None:
         acceleration = np.concatenate([smoothed_derivative(part[:, 0], spacing, 2, window=_WINDOW) for part in angles])
         sine = np.sin(np.concatenate(angles)[:, 0])
-        size = float(np.linalg.norm(acceleration) * np.linalg.norm(sine))
-        if size > 1e-6 and float(acceleration @ sine) > _FALLS_UP * size:
+        product_of_norms = float(np.linalg.norm(acceleration) * np.linalg.norm(sine))
+        if product_of_norms > 1e-6 and float(acceleration @ sine) > _FALLS_UP * product_of_norms:
             raise InputError(
                 f"{file}: the inner arm falls upward; the recording counts its angles from the other end: "
                 "exchange 'hanging' and 'upright' as the mapping's zero"
@@ -336,18 +372,26 @@ def check_plausible(segments: Sequence[Samples], spacing: float, *, file: str) -
 
 
 def _compare(derivative: Array, rates: Array, *, file: str) -> None:
-    """Reject rates (W, n) that are not the derivative of the angles."""
-    power, products = np.sum(rates**2, axis=0), derivative.T @ rates
-    squares = np.sum(derivative**2, axis=0)
-    slopes = products / np.maximum(power, 1e-300)
-    matches = np.abs(products) / np.maximum(np.sqrt(np.outer(squares, power)), 1e-300)
+    """Reject rates (W, n) that are not the `derivative` (W, n) of the angles, both rad/s, of all segments in sequence.
+
+    Column k of both belongs to arm k.
+
+    Raises:
+        InputError: names the likely cause: a unit, a sign or swapped columns.
+    """
+    rate_squares, products = np.sum(rates**2, axis=0), derivative.T @ rates
+    derivative_squares = np.sum(derivative**2, axis=0)
+    slopes = products / np.maximum(rate_squares, 1e-300)
+    matches = np.abs(products) / np.maximum(np.sqrt(np.outer(derivative_squares, rate_squares)), 1e-300)
     agree = (matches > _MATCHES) & (np.abs(slopes - 1) < _AGREES)
-    moving = np.maximum(squares, power) > _LEAST_MOTION**2 * len(rates)
+    moving = np.maximum(derivative_squares, rate_squares) > _LEAST_MOTION**2 * len(rates)
     for arm in np.flatnonzero(moving & ~np.diag(agree)):
         reason = f"is {slopes[arm, arm]:.4g} times its rate; is a unit (degrees, turns, ms) or a sign wrong?"
         if matches[arm, arm] <= _MATCHES:
-            alike = "".join(f"; it is rate {rate + 1}" for rate in np.flatnonzero(agree[arm]))
-            reason = f"is not its rate (they correlate by {matches[arm, arm]:.2f}{alike}); are columns swapped?"
+            matching_rates = "".join(f"; it is rate {rate + 1}" for rate in np.flatnonzero(agree[arm]))
+            reason = (
+                f"is not its rate (they correlate by {matches[arm, arm]:.2f}{matching_rates}); are columns swapped?"
+            )
         raise InputError(f"{file}: the derivative of angle {arm + 1} {reason} Check the mapping")
 
 
@@ -367,23 +411,25 @@ _MOVES = 0.05
 
 
 def constant_angles(recording: Recording) -> tuple[str, ...]:
-    """Return a sentence on each constant angle, if others vary or all are constant.
+    """Return a sentence on each constant angle, whose encoder may be disconnected, if others vary or all are constant.
 
     Args:
         recording: the recording.
     """
-    reach = np.ptp(recording.angles, axis=0)
-    most = float(reach.max())
+    ranges = np.ptp(recording.angles, axis=0)
+    largest_range = float(ranges.max())
     return tuple(
         f"angle {arm + 1} is {recording.angles[0, arm]:g} rad in all {len(recording.time)} samples: is its encoder "
         "connected, and its column the right one?"
         for arm in range(recording.arms)
-        if reach[arm] == 0 and (most == 0 or most > _MOVES)
+        if ranges[arm] == 0 and (largest_range == 0 or largest_range > _MOVES)
     )
 
 
 def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str) -> str:
     """Return a sentence on the contradiction between arms and recording, or "" if it is small.
+
+    It warns users who combine a recording with the model of another rig, and names the likely mistake.
 
     Args:
         recording: the recording.
@@ -392,32 +438,38 @@ def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str)
     """
     if arms.count != recording.arms:
         return f"the recording has {recording.arms} arms and the model {model} {arms.count}; give the matching model"
-    off, measured, predicted = _difference(recording, arms, tuple(range(arms.count)))
-    if off < _CONTRADICTS or predicted.max() < _LEAST:
+    difference, measured, predicted = _difference(recording, arms, tuple(range(arms.count)))
+    if difference < _CONTRADICTS or predicted.max() < _LEAST:
         return ""
-    shown = [" and ".join(f"{value:.3g}" for value in sizes) for sizes in (measured, predicted)]
+    sizes_text = [" and ".join(f"{value:.3g}" for value in sizes) for sizes in (measured, predicted)]
     text = (
-        f"the model {model} contradicts the recording: its arms would accelerate by {shown[1]} rad/s² (rms), the "
-        f"recorded ones accelerate by {shown[0]}, and the difference is {off:.2g} times as large as the larger"
+        f"the model {model} contradicts the recording: its arms would accelerate by {sizes_text[1]} rad/s² (rms), the "
+        f"recorded ones accelerate by {sizes_text[0]}, and the difference is {difference:.2g} times as large as the "
+        f"larger"
     )
     # Swings are about hanging, up to whole turns.
-    middles = np.mean(np.exp(1j * recording.angles), axis=0)
-    left_over = np.flatnonzero((np.abs(middles) > _GATHERED) & (np.abs(np.angle(middles)) > _LEFT_OVER))
-    if left_over.size:
-        swings = " and ".join(f"angle {arm + 1} swings about {np.angle(middles[arm]):.2g} rad" for arm in left_over)
-        return f"{text}; {swings} instead of 0: is the mapping's zero what a hanging arm reads?"
+    mean_directions = np.mean(np.exp(1j * recording.angles), axis=0)
+    off_hanging = np.flatnonzero(
+        (np.abs(mean_directions) > _GATHERED) & (np.abs(np.angle(mean_directions)) > _LEFT_OVER)
+    )
+    if off_hanging.size:
+        off_hanging_text = " and ".join(
+            f"angle {arm + 1} swings about {np.angle(mean_directions[arm]):.2g} rad" for arm in off_hanging
+        )
+        return f"{text}; {off_hanging_text} instead of 0: is the mapping's zero what a hanging arm reads?"
     orders = {order: _difference(recording, arms, order)[0] for order in permutations(range(arms.count))}
-    best = min(orders, key=lambda order: orders[order])
-    if _BETTER * orders[best] < off:
-        as_read = ", ".join(str(arm + 1) for arm in best)
-        return f"{text}; with the angles in the order {as_read} it is {orders[best]:.2g}: are columns exchanged?"
+    best_order = min(orders, key=lambda order: orders[order])
+    if _BETTER * orders[best_order] < difference:
+        as_read = ", ".join(str(arm + 1) for arm in best_order)
+        return f"{text}; with the angles in the order {as_read} it is {orders[best_order]:.2g}: are columns exchanged?"
     return f"{text}; check columns, signs and zeros, or give the matching model"
 
 
 def _difference(recording: Recording, arms: ArmChainParameters, order: tuple[int, ...]) -> tuple[float, Array, Array]:
     """Return the difference of recorded and predicted accelerations as a share of the larger, and both (n,), rad/s².
 
-    The angles are in the given order, and the accelerations are root mean squares.
+    The angles of the recording are taken in this order, as if columns were exchanged. The accelerations are root mean
+    squares; the blur of encoders is subtracted from the difference.
     """
     rate, n = equations_of(arms, Level.CART).function(), arms.count
     stride = max(round(_STEP / recording.dt), 1)
@@ -428,22 +480,23 @@ def _difference(recording: Recording, arms: ArmChainParameters, order: tuple[int
             continue
         before, middle, after = (part.angles[rows + shift][:, order] for shift in (-stride, 0, stride))
         states = np.hstack([middle, (after - before) / (2 * step), np.zeros((len(rows), 2))])
-        driven = np.zeros(len(rows))
+        cart_accelerations = np.zeros(len(rows))
         if (cart := cart_motion(part)) is not None:
             states[:, -1] = cart.velocity[rows]
-            driven = (cart.velocity[rows + stride] - cart.velocity[rows - stride]) / (2 * step)
-        rates = np.asarray(rate(states.T, driven[None], arms.base()), dtype=float).T
+            cart_accelerations = (cart.velocity[rows + stride] - cart.velocity[rows - stride]) / (2 * step)
+        rates = np.asarray(rate(states.T, cart_accelerations[None], arms.base()), dtype=float).T
         pairs.append(np.hstack([(after - 2 * middle + before) / step**2, rates[:, n : 2 * n]]))
-    both = np.concatenate(pairs)
-    both = both[np.isfinite(both).all(axis=1)]
-    if not len(both):
+    accelerations = np.concatenate(pairs)
+    accelerations = accelerations[np.isfinite(accelerations).all(axis=1)]
+    if not len(accelerations):
         return 0.0, np.zeros(n), np.zeros(n)
-    measured, predicted, apart = (
-        np.sqrt(np.mean(np.square(values), axis=0)) for values in (both[:, :n], both[:, n:], both[:, :n] - both[:, n:])
+    measured, predicted, differences = (
+        np.sqrt(np.mean(np.square(values), axis=0))
+        for values in (accelerations[:, :n], accelerations[:, n:], accelerations[:, :n] - accelerations[:, n:])
     )
     # The steps of relative encoders add up in an outer arm's angle.
     changes = np.abs(np.diff(recording.angles, axis=0))
     steps = np.nan_to_num(np.min(changes, axis=0, where=changes > 1e-12, initial=np.inf), posinf=0.0)
-    blurred = steps * np.sqrt(0.5 * np.arange(1, n + 1)) / _STEP**2
+    blur = steps * np.sqrt(0.5 * np.arange(1, n + 1)) / _STEP**2
     largest = max(float(np.linalg.norm(measured)), float(np.linalg.norm(predicted)), 1e-300)
-    return np.sqrt(max(float(apart @ apart - blurred @ blurred), 0.0)) / largest, measured, predicted
+    return np.sqrt(max(float(differences @ differences - blur @ blur), 0.0)) / largest, measured, predicted

@@ -87,22 +87,22 @@ def import_recording(
         )
     if not (bag and path.is_dir()):
         checked_source(path)
-    default = _JOINT_STATES if bag else "table" if kind in TABLES else ""
-    user_mapping = load_mapping(mapping) if mapping and mapping != default else None
+    default_mapping = _JOINT_STATES if bag else "table" if kind in TABLES else ""
+    user_mapping = load_mapping(mapping) if mapping and mapping != default_mapping else None
     progress("reading", 0.0)
-    if default:
-        chosen, stretches = _of_columns(path, user_mapping, default)
+    if default_mapping:
+        used_mapping, stretches = _of_columns(path, user_mapping, default_mapping)
     else:
-        chosen, stretches = _of_matlab(path, user_mapping)
+        used_mapping, stretches = _of_matlab(path, user_mapping)
     progress("checking", 0.5)
-    return _recording(path, chosen, stretches, repairs=frozenset(repairs))
+    return _recording(path, used_mapping, stretches, repairs=frozenset(repairs))
 
 
 def _of_columns(path: Path, user_mapping: Mapping | None, default: str) -> tuple[Mapping, list[Samples]]:
-    """Return the mapping and the stretches of a table or a bag.
+    """Return the mapping, restricted to the file's columns, and the stretches of samples of a table or a bag.
 
     The default mapping names more columns than a file needs: the second and later arms of joint states, the rates, the
-    cart and the segments may be missing.
+    cart and the segments may be missing. `default` is the name of that mapping, and `user_mapping` replaces it.
     """
     mapping, optional = user_mapping or load_mapping(default), list[str]()
     if mapping.cells.states:
@@ -113,25 +113,34 @@ def _of_columns(path: Path, user_mapping: Mapping | None, default: str) -> tuple
     columns = (read_bag if is_bag(path) else read_table)(path, mapping.named, optional=optional)
     mapping = mapping.restricted(columns)
     if len(mapping.rates.columns) not in (0, len(mapping.angles.columns)):
-        shown = ", ".join(mapping.rates.columns)
-        raise InputError(f"{path}: only {shown} for {len(mapping.angles.columns)} angles; give as many rates, or none")
+        rate_names = ", ".join(mapping.rates.columns)
+        raise InputError(
+            f"{path}: only {rate_names} for {len(mapping.angles.columns)} angles; give as many rates, or none"
+        )
     return mapping, _segments(path, mapping, columns)
 
 
 def _segments(path: Path, mapping: Mapping, columns: Columns[str, Array]) -> list[Samples]:
-    """Return the samples of each segment."""
+    """Return the samples of each segment in a file's columns (K,), which are cut where the segment's number changes.
+
+    `mapping` defines the columns, their units and directions.
+    """
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         shown_lengths = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise InputError(f"{path}: the columns differ in length ({shown_lengths}); a row needs a value of each")
-    groups = {
+    columns_by_kind = {
         ANGLE: mapping.angles.columns, RATE: mapping.rates.columns, CART: (mapping.cart.position,),
         COMMAND: (mapping.cart.command,),
     }  # fmt: skip
-    values = {kind: np.column_stack([columns[name] for name in names]) for kind, names in groups.items() if any(names)}
+    values = {
+        kind: np.column_stack([columns[name] for name in names])
+        for kind, names in columns_by_kind.items()
+        if any(names)
+    }
     samples = _samples(str(path), mapping, values, columns.get(mapping.time.column))
-    number = columns.get(mapping.time.segment, np.zeros(len(samples.time)))
-    return samples.cut(np.flatnonzero(np.diff(number)))
+    segment_numbers = columns.get(mapping.time.segment, np.zeros(len(samples.time)))
+    return samples.cut(np.flatnonzero(np.diff(segment_numbers)))
 
 
 def _samples(where: str, mapping: Mapping, values: Columns[str, Array], time: Array | None) -> Samples:
@@ -151,32 +160,38 @@ def _samples(where: str, mapping: Mapping, values: Columns[str, Array], time: Ar
             raise InputError(
                 f"{where}: the mapping's {key} has {len(of_arms)} values for {arms} arms; give one or as many"
             )
-    read = {
+    conversions = {
         ANGLE: lambda angles: mapping.absolute(angles, ANGLE_UNITS[mapping.angles.unit], mapping.angles.zero),
         RATE: lambda rates: mapping.absolute(rates, RATE_UNITS[mapping.rates.unit]),
         CART: lambda cart: cart * LENGTH_UNITS[mapping.cart.unit],
         COMMAND: lambda command: command,
     }
-    several = {kind: [f"{kind} {arm + 1}" for arm in range(arms)] for kind in (ANGLE, RATE)}
+    numbered_names = {kind: [f"{kind} {arm + 1}" for arm in range(arms)] for kind in (ANGLE, RATE)}
     return Samples(
         where=where,
         rows=np.arange(1, count + 1),
         time=np.arange(count) * mapping.period if time is None else time * TIME_UNITS[mapping.time.unit],
-        values=np.column_stack([read[kind](columns) for kind, columns in values.items()]),
-        names=tuple(name for kind in values for name in several.get(kind, [kind])),
+        values=np.column_stack([conversions[kind](columns) for kind, columns in values.items()]),
+        names=tuple(name for kind in values for name in numbered_names.get(kind, [kind])),
     )
 
 
 def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repairs: frozenset[str]) -> Recording:
-    """Return the recording of stretches, after all checks."""
+    """Return the recording of a file's stretches, after all checks and the permitted repairs.
+
+    `repairs` are the names of permitted repairs.
+
+    Raises:
+        InputError: the stretches have different numbers of arms, or a check fails.
+    """
     counts = {stretch.arms for stretch in stretches}
     if len(counts) != 1:
-        shown = " and ".join(map(str, sorted(counts))) or "no"
-        raise InputError(f"{path}: its cells have {shown} arms; all must have the same number")
+        counts_text = " and ".join(map(str, sorted(counts))) or "no"
+        raise InputError(f"{path}: its cells have {counts_text} arms; all must have the same number")
     repaired = [sound_segments(stretch, period=mapping.period, repairs=repairs) for stretch in stretches]
     parts, notes = (
         [part for segments, _ in repaired for part in segments],
-        [note for _, told in repaired for note in told],
+        [note for _, segment_notes in repaired for note in segment_notes],
     )
     spacing = mapping.period or float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
     if not 1e-6 <= spacing <= 0.1:
@@ -187,9 +202,9 @@ def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repair
     times: list[Array] = []
     for index, part in enumerate(parts):
         last = times[-1][-1] if times else -spacing
-        behind = part.time[0] <= last if times else part.time[0] < 0
-        shift = last + spacing - part.time[0] if behind else 0.0
-        notes += [f"segment {index}: its time was moved by {shift:.9g} s to follow the one before"] if behind else []
+        overlaps = part.time[0] <= last if times else part.time[0] < 0
+        shift = last + spacing - part.time[0] if overlaps else 0.0
+        notes += [f"segment {index}: its time was moved by {shift:.9g} s to follow the one before"] if overlaps else []
         times.append(part.time + shift)
     edges = np.cumsum([0, *map(len, times)]).tolist()
     joined = replace(parts[0], values=np.concatenate([part.values for part in parts]))
@@ -239,6 +254,10 @@ def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] 
 
 
 def _parquet(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
+    """Return all column names of a Parquet file, and the cells of the named columns.
+
+    A column whose name occurs several times is left out, and reported by the caller.
+    """
     # pyarrow takes a name such as s3:table.parquet for an address.
     with path.open("rb") as stream:
         file = package("pyarrow.parquet").ParquetFile(stream)
@@ -249,7 +268,7 @@ def _parquet(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[str, A
 
 
 def _text(path: Path) -> tuple[list[str], dict[str, Sequence[str]]]:
-    """Return the columns' names of a text table, and its cells by column.
+    """Return the columns' names of a text table, and its cells by column, as texts.
 
     A first line of numbers is no header: the names are then 1, 2, ….
     """
@@ -259,36 +278,45 @@ def _text(path: Path) -> tuple[list[str], dict[str, Sequence[str]]]:
     if len(lines) < 2:
         raise ValueError("it has no rows")
     # Commas beside another separator are decimal points.
-    mark = next((mark for mark in ";\t," if mark in lines[0]), "")
-    table = list(csv.reader(lines, delimiter=mark)) if mark else [line.split() for line in lines]
-    if mark != ",":
+    separator = next((separator for separator in ";\t," if separator in lines[0]), "")
+    table = list(csv.reader(lines, delimiter=separator)) if separator else [line.split() for line in lines]
+    if separator != ",":
         table = [[cell.replace(",", ".") for cell in row] for row in table]
     names = [cell.strip() for cell in table[0]]
     if all(map(_NUMBER.fullmatch, names)):
         names = [str(number) for number in range(1, len(names) + 1)]
     else:
         del table[0]
-    uneven = [row for row, cells in enumerate(table, start=1) if len(cells) != len(names)]
-    if uneven:
-        raise ValueError(f"row {uneven[0]} has {len(table[uneven[0] - 1])} cells, the first line {len(names)}")
+    uneven_rows = [row for row, cells in enumerate(table, start=1) if len(cells) != len(names)]
+    if uneven_rows:
+        raise ValueError(
+            f"row {uneven_rows[0]} has {len(table[uneven_rows[0] - 1])} cells, the first line {len(names)}"
+        )
     return names, dict(zip(names, zip(*table, strict=True), strict=False))
 
 
 def _numbers(cells: Sequence[Any], name: str, path: Path) -> Array:
-    """Return a column's numbers; markers of missing values become nan."""
+    """Return a column's cells as numbers (K,); markers of missing values become nan.
+
+    Raises:
+        InputError: a cell is no number; names its row.
+    """
     try:
         return np.array(cells, dtype=float)
     except (TypeError, ValueError):
         texts = [str(cell).strip() for cell in cells]
     numbers = ["nan" if text.casefold() in _MISSING else text for text in texts]
-    for row, text in enumerate(numbers, start=1):
+    for row_number, text in enumerate(numbers, start=1):
         if not _NUMBER.fullmatch(text):
-            raise InputError(f"{path}: row {row} of column {name!r} holds {text!r}; it must be a number")
+            raise InputError(f"{path}: row {row_number} of column {name!r} holds {text!r}; it must be a number")
     return np.array(numbers, dtype=float)
 
 
 def _of_matlab(path: Path, user_mapping: Mapping | None) -> tuple[Mapping, list[Samples]]:
-    """Return the mapping, with the file's period if it holds one, and the stretches."""
+    """Return the mapping of a MATLAB file, with the file's period if it holds one, and the stretches of samples.
+
+    Without a user's mapping, the first shipped one that fits is used.
+    """
     file = MatlabFile(path, read_matlab(path))
     mapping = user_mapping or _fitting(file)
     if name := mapping.sampling.variable:
@@ -302,15 +330,15 @@ def _of_matlab(path: Path, user_mapping: Mapping | None) -> tuple[Mapping, list[
 
 
 def _fitting(file: "MatlabFile") -> Mapping:
-    """Return the first known mapping whose columns all exist.
+    """Return the first known mapping whose columns all exist in a MATLAB file.
 
     Raises:
         InputError: there is none; lists the variables.
     """
     for mapping in map(load_mapping, _KNOWN):
-        states = [f"{name}{{1}}" for name in mapping.cells.states[:1]]
-        wanted = (*states, *mapping.named, *filter(None, [mapping.sampling.variable]))
-        if all(file.find(name) is not None for name in wanted):
+        first_cell = [f"{name}{{1}}" for name in mapping.cells.states[:1]]
+        variables = (*first_cell, *mapping.named, *filter(None, [mapping.sampling.variable]))
+        if all(file.find(name) is not None for name in variables):
             return mapping
     raise InputError(
         f"{file.path}: no shipped mapping fits its variables {', '.join(list(file.values)[:12])}; give a mapping that "
@@ -319,7 +347,11 @@ def _fitting(file: "MatlabFile") -> Mapping:
 
 
 def _cells(file: "MatlabFile", mapping: Mapping) -> Iterator[Samples]:
-    """Yield the samples of each cell."""
+    """Yield the samples of each cell of the mapped cell arrays, each a matrix of angles, then rates, by row.
+
+    Raises:
+        InputError: a cell has another shape, or not as many times.
+    """
     for states, times in zip_longest(mapping.cells.states, mapping.cells.time, fillvalue=""):
         cells = [name for name in file.values if re.fullmatch(rf"{re.escape(states)}\{{\d+\}}", name)]
         for number, cell in enumerate(cells, start=1):
@@ -345,7 +377,7 @@ _PACKED = 15
 
 @dataclass(frozen=True)
 class MatlabFile:
-    """The numbers of a MATLAB file.
+    """The numbers of a MATLAB file, in which a mapping finds its columns.
 
     Attributes:
         path: the file.
@@ -363,17 +395,24 @@ class MatlabFile:
         Args:
             name: a variable with optional fields, cells `{i}` and a row `(i,:)` or column `(:,i)`.
         """
-        if (line := _LINE.fullmatch(name)) and (matrix := self.find(line[1])) is not None and matrix.ndim == 2:
-            return dict(enumerate(matrix if line[2] else matrix.T, start=1)).get(int(line[2] or line[3]))
-        folded = {held.casefold(): held for held in self.values}
+        if (
+            (matched_line := _LINE.fullmatch(name))
+            and (matrix := self.find(matched_line[1])) is not None
+            and matrix.ndim == 2
+        ):
+            return dict(enumerate(matrix if matched_line[2] else matrix.T, start=1)).get(
+                int(matched_line[2] or matched_line[3])
+            )
+        stored_names = {stored_name.casefold(): stored_name for stored_name in self.values}
         suffixes = ("", ".signals.values", ".data")
-        held = next(
-            (folded[name.casefold() + suffix] for suffix in suffixes if name.casefold() + suffix in folded), None
+        stored_name = next(
+            (stored_names[name.casefold() + suffix] for suffix in suffixes if name.casefold() + suffix in stored_names),
+            None,
         )
-        return None if held is None else self.values[held]
+        return None if stored_name is None else self.values[stored_name]
 
     def column(self, name: str) -> Array:
-        """Return one row or column of real numbers as (K,).
+        """Return one row or column of real numbers as (K,), a column of a mapping.
 
         Args:
             name: see `find`.
@@ -406,32 +445,35 @@ def read_matlab(path: Path) -> dict[str, NDArray[Any]]:
 
     with reading(path, "a MATLAB file"):
         data = path.read_bytes()
-        hdf5 = b"MATLAB 7.3" in data[:128] or b"\x89HDF\r\n\x1a\n" in data[:600]
-        checked_size(_hdf5_size(path) if hdf5 else _unpacked_size(data))
+        is_hdf5 = b"MATLAB 7.3" in data[:128] or b"\x89HDF\r\n\x1a\n" in data[:600]
+        checked_size(_hdf5_size(path) if is_hdf5 else _unpacked_size(data))
         if data.startswith(_OCTAVE):
             raise InputError(f"{path} is not a MATLAB file but one of Octave; save it in Octave with `save -v7`")
-        variables = {} if hdf5 else loadmat(path)
-        if hdf5 or "__function_workspace__" in variables:
+        variables = {} if is_hdf5 else loadmat(path)
+        if is_hdf5 or "__function_workspace__" in variables:
             variables = package("matio").load_from_mat(str(path), raw_data=True) or {}
-        named = (_arrays(value, name) for name, value in variables.items() if not name.startswith("__"))
-        return dict(chain.from_iterable(named))
+        named_arrays = (_arrays(value, name) for name, value in variables.items() if not name.startswith("__"))
+        return dict(chain.from_iterable(named_arrays))
 
 
 def _unpacked_size(data: bytes) -> int:
-    """Return the unpacked size of a version 5 file, bytes, from the headers of its compressed variables."""
-    order = {b"IM": "<", b"MI": ">"}.get(data[126:128], "")
-    size, place = 0, 128
-    while order and place + 8 <= len(data):
-        kind, length = struct.unpack_from(f"{order}II", data, place)
+    """Return the unpacked size of a version 5 file, bytes, from the headers of its compressed variables.
+
+    A file that would unpack to more than the memory is rejected by it.
+    """
+    byte_order = {b"IM": "<", b"MI": ">"}.get(data[126:128], "")
+    size, position = 0, 128
+    while byte_order and position + 8 <= len(data):
+        kind, length = struct.unpack_from(f"{byte_order}II", data, position)
         if kind == _PACKED:
-            beginning = zlib.decompressobj().decompress(data[place + 8 : place + 8 + length], 8)
-            size += struct.unpack_from(f"{order}I", beginning, 4)[0] if len(beginning) == 8 else 0
-        place += 8 + length
+            beginning = zlib.decompressobj().decompress(data[position + 8 : position + 8 + length], 8)
+            size += struct.unpack_from(f"{byte_order}I", beginning, 4)[0] if len(beginning) == 8 else 0
+        position += 8 + length
     return size
 
 
 def _hdf5_size(path: Path) -> int:
-    """Return the unpacked size of the data sets of a version 7.3 file, bytes."""
+    """Return the unpacked size of the data sets of a version 7.3 file, bytes, for the same check."""
     sizes: list[int] = []
     with package("h5py").File(path) as file:
         file.visititems(lambda _, item: sizes.append(getattr(item, "nbytes", 0)))
@@ -439,7 +481,7 @@ def _hdf5_size(path: Path) -> int:
 
 
 def _arrays(value: Any, name: str, owner: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the arrays of numbers in a variable, with their names.
+    """Yield the arrays of numbers in a variable, with their names in MATLAB's notation.
 
     The cells of a cell array of objects within an object are also those of the object. The times of a time series,
     which MATLAB does not store where they are even, are added.
@@ -457,16 +499,19 @@ def _arrays(value: Any, name: str, owner: str = "") -> Iterator[tuple[str, NDArr
         value = list(value.reshape(-1, order="F"))
     if isinstance(value, list):
         for number, item in enumerate(value, start=1):
+            # An object's cells are found by the name of the array and by that of the object.
             for holder in {name, owner or name} if hasattr(item, "properties") else (name,):
                 yield from _arrays(item, f"{holder}{{{number}}}")
     elif isinstance(value, dict):
-        held = {}
+        member_arrays = {}
         for field, item in value.items():
-            held |= _arrays(item, f"{name}.{str(field).rstrip('_')}", owner or name)
-        yield from held.items()
-        even = [held.get(f"{name}.TimeInfo.{field}", np.empty(0)) for field in ("Start", "Increment", "Length")]
-        if f"{name}.Time" not in held and all(part.size == 1 for part in even):
-            start, increment, length = np.concatenate(even, axis=None)
+            member_arrays |= _arrays(item, f"{name}.{str(field).rstrip('_')}", owner or name)
+        yield from member_arrays.items()
+        time_info = [
+            member_arrays.get(f"{name}.TimeInfo.{field}", np.empty(0)) for field in ("Start", "Increment", "Length")
+        ]
+        if f"{name}.Time" not in member_arrays and all(part.size == 1 for part in time_info):
+            start, increment, length = np.concatenate(time_info, axis=None)
             yield f"{name}.Time", start + increment * np.arange(min(length, _MOST_SAMPLES))
     elif np.size(value) and np.asarray(value).dtype.kind in "fiu":
         yield name, np.asarray(value)

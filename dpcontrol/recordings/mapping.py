@@ -33,7 +33,7 @@ NAMED = BeforeValidator(lambda value: str(value) if type(value) is int else valu
 
 
 def _listed(value: Any) -> tuple[Any, ...]:
-    """Return one value for all arms, or one for each, as numbers."""
+    """Return one value for all arms, or one for each, as a tuple of numbers; names of `ZEROS` become their numbers."""
     values = value if isinstance(value, list | tuple) else [value]
     return tuple(ZEROS.get(entry, entry) if isinstance(entry, str) else entry for entry in values)
 
@@ -84,7 +84,7 @@ class _Angles(Settings, table="angles"):
 
     @property
     def by_arm(self) -> dict[str, tuple[float, ...]]:
-        """Values for all arms, or for each, by key."""
+        """Values for all arms, or one for each, by their key in the file."""
         return {"counts_per_turn": self.counts_per_turn or (1,), "sign": self.sign, "zero": self.zero}
 
 
@@ -120,7 +120,18 @@ _FILE = Table(
 
 @dataclass(frozen=True)
 class Mapping:
-    """Rules for reading a recording: the tables of the mapping's file."""
+    """Rules for reading a recording: the tables of the mapping's file.
+
+    Attributes:
+        name: name of the file without its ending.
+        arm_lengths: lengths of the arms, m, for pictures.
+        time: column and unit of the times.
+        sampling: time between samples.
+        cells: cell arrays of a MATLAB file.
+        angles: columns, unit, sign and zero of the angles.
+        rates: columns and unit of the rates.
+        cart: columns of the cart and its command.
+    """
 
     name: str
     arm_lengths: tuple[float, ...]
@@ -133,7 +144,7 @@ class Mapping:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Names of all columns to read."""
+        """Names of all columns to read from a file."""
         single = (self.time.column, self.time.segment, self.cart.position, self.cart.command)
         return (*self.angles.columns, *self.rates.columns, *filter(None, single))
 
@@ -143,10 +154,10 @@ class Mapping:
         return self.sampling.period or (1 / self.sampling.rate if self.sampling.rate else 0.0)
 
     def restricted(self, columns: Collection[str]) -> "Mapping":
-        """Return the mapping of these columns only.
+        """Return the mapping without the angles, rates and cart that a file lacks.
 
         Args:
-            columns: names of columns.
+            columns: names of the file's columns.
         """
         angles, rates = (
             replace(table, columns=tuple(name for name in table.columns if name in columns))
@@ -164,8 +175,8 @@ class Mapping:
             zeros: readings of hanging arms, rad.
         """
         scale = unit or 2 * np.pi / np.array(self.angles.counts_per_turn)
-        turned = (values * scale - np.array(zeros)) * np.array(self.angles.sign)
-        return np.cumsum(turned, axis=1) if self.angles.relative else turned
+        directed = (values * scale - np.array(zeros)) * np.array(self.angles.sign)
+        return np.cumsum(directed, axis=1) if self.angles.relative else directed
 
 
 def load_mapping(name: str) -> Mapping:
@@ -192,14 +203,14 @@ def load_mapping(name: str) -> Mapping:
 
 
 def _rules(mapping: Mapping) -> dict[str, bool]:
-    """Return, for each complaint, True if tables break the rule by which they fit together."""
+    """Return the rules by which a mapping's tables fit together: each complaint, with True if its rule is broken."""
     columns, rates, cells = mapping.angles.columns, mapping.rates.columns, mapping.cells
-    twice = [name for name, times in Counter(mapping.named).items() if times > 1]
-    clocks = (mapping.time.column, cells.time, mapping.period, mapping.sampling.variable)
+    repeated = [name for name, uses in Counter(mapping.named).items() if uses > 1]
+    time_sources = (mapping.time.column, cells.time, mapping.period, mapping.sampling.variable)
     unequal = [
         key for key, values in mapping.angles.by_arm.items() if len(values) not in (1, len(columns) or len(values))
     ]
-    counted = "counts" in (mapping.angles.unit, *mapping.rates.unit.split("/"))
+    in_counts = "counts" in (mapping.angles.unit, *mapping.rates.unit.split("/"))
     return {
         "[angles] columns = []: name one column for each arm, inner arm first": not cells.states and not columns,
         "[cells] states: rows of cells replace all columns of a recording; name no others": bool(cells.states)
@@ -213,8 +224,8 @@ def _rules(mapping: Mapping) -> dict[str, bool]:
         not in (0, len(cells.states)),
         f"[rates] columns: {len(rates)} rates for {len(columns)} angles; give as many": len(rates)
         not in (0, len(columns)),
-        f"[angles] columns: {twice} is named twice; a column has one meaning": bool(twice),
-        "neither [time] column nor [sampling] period is given; give one of them": not any(clocks),
-        "[angles] a unit is counts but counts_per_turn is missing; add it": counted
+        f"[angles] columns: {repeated} is named twice; a column has one meaning": bool(repeated),
+        "neither [time] column nor [sampling] period is given; give one of them": not any(time_sources),
+        "[angles] a unit is counts but counts_per_turn is missing; add it": in_counts
         and not mapping.angles.counts_per_turn,
     }

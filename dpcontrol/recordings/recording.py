@@ -131,7 +131,7 @@ class Recording(Timed):
 
     @checked
     def segment(self, index: Index) -> "Recording":
-        """Return one segment, in its original times, as a recording.
+        """Return one segment as a recording, in its original times.
 
         Args:
             index: index of the segment, from 0.
@@ -169,7 +169,7 @@ class Recording(Timed):
 
 @dataclass(frozen=True, eq=False)
 class ImportedRecording(Documented):
-    """A recording that was imported or simulated.
+    """A recording that was imported or simulated, with the log that holds it.
 
     Attributes:
         recording: imported recording.
@@ -187,7 +187,7 @@ class ImportedRecording(Documented):
 
 
 def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
-    """Return the log metadata of a recording.
+    """Return the log metadata of a recording, which `recording_of` reads.
 
     Args:
         recording: the recording.
@@ -239,7 +239,7 @@ def write_samples(
     attachments: Mapping[str, bytes] | None = None,
     force: bool = False,
 ) -> Path:
-    """Write measurements, states and control fields as a log.
+    """Write measurements, states and control fields as a log, for imported recordings and for replays.
 
     Args:
         recording: measurements (K samples).
@@ -271,12 +271,12 @@ def write_samples(
     parts: dict[str, Array | None] = {"rates": rates, **(states or {})}
     if control:
         fields = control_fields(recording.arms, has_cart=has_cart)
-        rows = np.zeros((len(recording.time), len(fields)))
+        control_rows = np.zeros((len(recording.time), len(fields)))
         for name, values in {"nis": np.nan, "mode": Mode.IDLE, **control}.items():
-            rows[:, fields.index(name)] = values
+            control_rows[:, fields.index(name)] = values
         if sigmas is not None:
-            rows[:, fields.index("sigma_1") :] = sigmas
-        parts["control"] = rows
+            control_rows[:, fields.index("sigma_1") :] = sigmas
+        parts["control"] = control_rows
     with LogWriter(
         path, arm_lengths=recording.arm_lengths, rate_hz=1 / recording.dt, has_cart=has_cart, metadata=metadata,
         attachments=attachments,
@@ -304,7 +304,7 @@ def load_recording(path: Path | str) -> Recording:
 
 
 def recording_of(log: RunLog) -> Recording:
-    """Return the measurements and commands in a log.
+    """Return the measurements and commands in a log, without estimates and references.
 
     Args:
         log: log of a run, a recording or a replay.
@@ -313,10 +313,10 @@ def recording_of(log: RunLog) -> Recording:
         InputError: segments and samples of the log do not match.
     """
     n, steps, period = len(log.arm_lengths), np.diff(log.time), 1 / log.rate_hz
-    if (back := np.flatnonzero(steps < 0)).size:
+    if (backward_steps := np.flatnonzero(steps < 0)).size:
         raise InputError(
-            f"{log.path}: its time runs backward after {log.time[back[0]]:.3f} s; record it again, or import the "
-            "original with `--repair time`"
+            f"{log.path}: its time runs backward after {log.time[backward_steps[0]]:.3f} s; record it again, or import "
+            "the original with `--repair time`"
         )
     is_recording = log.metadata.get("kind") in (KIND, REPLAYED)
     metadata = {"title": log.path.stem, "source": "" if is_recording else log.path.name}
@@ -324,8 +324,8 @@ def recording_of(log: RunLog) -> Recording:
     if is_recording:
         segments, metadata = log.segments, {**metadata, **log.metadata}
         command = log.controls.get("command") if metadata.get("command") else None
-    means = [float(np.mean(steps[first : end - 1])) / period for first, end in segments if end - first > 1]
-    if not segments or any(not 0.5 <= mean <= 2 for mean in means):
+    mean_periods = [float(np.mean(steps[first : end - 1])) / period for first, end in segments if end - first > 1]
+    if not segments or any(not 0.5 <= mean <= 2 for mean in mean_periods):
         raise InputError(
             f"{log.path}: its segments do not fit its {len(log.time)} samples, or these have not the nominal period of "
             f"{period:g} s; import the recording again"
@@ -354,9 +354,13 @@ _EXPLAINED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class CartMotion(Brief):
-    """Cart motion at K samples: position m, velocity m/s, and acceleration m/s² held until the next sample.
+    """Cart motion at K samples, which is the input of the arms' equations.
 
-    `commanded` is True if the acceleration comes from the command, False if from the position.
+    Attributes:
+        position: position (K,), m.
+        velocity: velocity (K,), m/s.
+        acceleration: acceleration (K,), m/s², held until the next sample.
+        commanded: True if the acceleration comes from the command, False if from the position.
     """
 
     position: Array
@@ -368,6 +372,9 @@ class CartMotion(Brief):
 def cart_motion(part: Recording) -> CartMotion | None:
     """Return the cart's motion in a recording of one segment, or None if the cart was clamped.
 
+    The acceleration is the command if it explains the measured position, and else follows from the position, see the
+    head of this module.
+
     Args:
         part: recording of one segment.
     """
@@ -375,28 +382,36 @@ def cart_motion(part: Recording) -> CartMotion | None:
     from scipy.interpolate import make_interp_spline
 
     period, command = part.dt, np.zeros(0) if part.command is None else part.command
-    sent = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
+    commanded_velocity = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
     if part.cart is None:
-        position = np.asarray(cumulative_trapezoid(sent, dx=period, initial=0))
-        return CartMotion(position, sent, command, True) if command.any() else None
+        position = np.asarray(cumulative_trapezoid(commanded_velocity, dx=period, initial=0))
+        return CartMotion(position, commanded_velocity, command, True) if command.any() else None
     finite = np.isfinite(part.cart)
     if finite.sum() < 2 or float(np.ptp(part.cart[finite])) < STILL:
         return None
     # A missing reading lies on the line through its neighbours, or through the first or last two.
-    between = make_interp_spline(part.time[finite], part.cart[finite], k=1)
-    position = np.asarray(between(part.time), dtype=np.float64)
-    velocity, felt = (smoothed_derivative(position, period, order) for order in (1, 2))
+    interpolant = make_interp_spline(part.time[finite], part.cart[finite], k=1)
+    position = np.asarray(interpolant(part.time), dtype=np.float64)
+    velocity, measured_acceleration = (smoothed_derivative(position, period, order) for order in (1, 2))
     if command.size:
-        predicted = smoothed_derivative(np.asarray(cumulative_trapezoid(sent, dx=period, initial=0)), period, 2)
-        missed, moved = (float(np.sqrt(np.mean(np.square(a)))) for a in (predicted - felt, felt))
-        if missed <= _EXPLAINED * moved:
+        commanded_acceleration = smoothed_derivative(
+            np.asarray(cumulative_trapezoid(commanded_velocity, dx=period, initial=0)), period, 2
+        )
+        difference_rms, acceleration_rms = (
+            float(np.sqrt(np.mean(np.square(a))))
+            for a in (commanded_acceleration - measured_acceleration, measured_acceleration)
+        )
+        if difference_rms <= _EXPLAINED * acceleration_rms:
             return CartMotion(position, velocity, command, True)
-    acceleration = (felt + np.append(felt[1:], felt[-1])) / 2
+    # u_k at the head of this module, held until the next sample.
+    acceleration = (measured_acceleration + np.append(measured_acceleration[1:], measured_acceleration[-1])) / 2
     return CartMotion(position, velocity, acceleration, False)
 
 
 def smoothed_derivative(values: Array, period: float, order: int = 1, *, window: float = _SMOOTHED) -> Array:
     """Return the derivative of samples (K, …) by cubics through a window, zero for fewer than five samples.
+
+    Differences of neighbouring samples would amplify the rounding of encoders.
 
     Args:
         values: samples (K, …).
@@ -425,7 +440,7 @@ _SAMPLE_SECONDS, _SAMPLE_BYTES = 17e-6, 150.0
 
 
 def swings_cost(swings: int, seconds: float) -> Cost:
-    """Return the expected cost of simulating swings and writing their log.
+    """Return the expected cost of simulating swings and writing their log, by which too much work is refused.
 
     Args:
         swings: number of swings.
@@ -437,7 +452,9 @@ def swings_cost(swings: int, seconds: float) -> Cost:
 
 
 def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed: int, name: str) -> Recording:
-    """Return a recording of swings released at random angles, with encoder zeros wrong by up to 2 mrad.
+    """Return a simulated recording for practice with identification, whose truth is known.
+
+    Its swings are released at random angles, with encoder zeros wrong by up to 2 mrad.
 
     Args:
         arms: parameters of the arms.
@@ -496,6 +513,6 @@ def simulated_recording(
         time=np.arange(edges[-1]) * period,
         angles=np.concatenate(swings),
         rates=None,
-        segments=tuple((int(a), int(b)) for a, b in pairwise(edges)),
+        segments=tuple((int(first), int(end)) for first, end in pairwise(edges)),
         arm_lengths=arms.length,
     )

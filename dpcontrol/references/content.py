@@ -81,20 +81,23 @@ class PlanSymbol:
 
 
 def symbol_figures(symbols: Sequence[PlanSymbol], place: int) -> dict[str, Any]:
-    """Return the figures of a symbol among all symbols, or of a transfer among all transfers; none without symbols.
+    """Return the number of a symbol among all symbols, or of a transfer among all transfers, for messages.
 
     Args:
         symbols: symbols and transfers in order.
         place: place among them.
+
+    Returns:
+        Kind of the motion, its number from 1, their count and its name; empty without symbols.
     """
     if not symbols:
         return {}
     transfers = [symbol.section is None for symbol in symbols]
-    alike = [k for k, transfer in enumerate(transfers) if transfer == transfers[place]]
+    same_kind = [k for k, transfer in enumerate(transfers) if transfer == transfers[place]]
     return {
         "motion": "transfer" if transfers[place] else "symbol",
-        "symbol": alike.index(range(len(symbols))[place]) + 1,
-        "symbols": len(alike),
+        "symbol": same_kind.index(range(len(symbols))[place]) + 1,
+        "symbols": len(same_kind),
         "name": symbols[place].text,
     }
 
@@ -254,7 +257,7 @@ class PlanContent:
         return min(self.saddles, key=lambda name: self.saddles[name].energy)
 
     def orbit(self, stop: PlanStop) -> PlanOrbit:
-        """Return the orbit of a stop.
+        """Return the orbit, or the equilibrium, at which a stop of the plan stays.
 
         Args:
             stop: one of the plan's stops.
@@ -270,31 +273,35 @@ class PlanContent:
         return np.asarray(stop.angles) - np.asarray(self.saddles[stop.saddle].angles)
 
     def transitions(self) -> list[tuple[int, int]]:
-        """Return numbers of symbol and transfer of each transition between equilibria, the first of each pair."""
+        """Return the first transfer between each two equilibria, for pictures of the transitions.
+
+        Returns:
+            Index of the transfer among all symbols, and among all transfers.
+        """
         # A stop at rest has no growth over a period; other stops begin or end a walk.
-        still = [self.orbit(stop).multiplier == 1.0 for stop in self.stops]
-        ways = {round(sum(way) / 2, 6): k for k, way in enumerate(self.transfers)}
+        is_equilibrium = [self.orbit(stop).multiplier == 1.0 for stop in self.stops]
+        transfer_numbers = {round(sum(transfer_number) / 2, 6): k for k, transfer_number in enumerate(self.transfers)}
         pairs: dict[tuple[str, str], tuple[int, int]] = {}
         for k, symbol in enumerate(self.symbols):
-            way = ways.get(round(symbol.time, 6))
-            if way is not None and symbol.name is None and still[k] and still[k + 1]:
-                pairs.setdefault((symbol.source, symbol.target), (k, way))
+            transfer_number = transfer_numbers.get(round(symbol.time, 6))
+            if transfer_number is not None and symbol.name is None and is_equilibrium[k] and is_equilibrium[k + 1]:
+                pairs.setdefault((symbol.source, symbol.target), (k, transfer_number))
         return list(pairs.values())
 
     def fits(self, arms: int) -> bool:
-        """Return True if the parts agree with each other and with a number of arms.
+        """Return True if the parts agree with each other and with a number of arms, as those of an undamaged file do.
 
         Args:
             arms: number of arms of the reference.
         """
-        angles = [place.angles for place in (*self.stops, *self.saddles.values())]
+        all_angles = [angles_of_place.angles for angles_of_place in (*self.stops, *self.saddles.values())]
         normals = [symbol.section.normal for symbol in self.symbols if symbol.section is not None]
         return (
             len(self.stops) == len(self.symbols) + 1
             and len(self.wraps) == max(len(self.symbols) - 1, 0)
             and {stop.saddle for stop in self.stops} <= set(self.saddles) & {orbit.saddle for orbit in self.orbits}
             and all(0 <= k < len(self.orbits) for stop in self.stops for k in stop.orbits)
-            and all(len(place) == arms for place in angles)
+            and all(len(angles_of_place) == arms for angles_of_place in all_angles)
             and all(len(normal) == 2 * arms for normal in normals)
             and all(orbit.period > 0 and orbit.curve.shape[1:] == (2 * arms,) for orbit in self.orbits)
             and self.origin.parameters.count == arms
@@ -317,11 +324,12 @@ def stored(content: PlanContent) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 def _plain(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a dataclass's fields without arrays, which are stored apart, and without missing values."""
     return {name: value for name, value in items if value is not None and not isinstance(value, np.ndarray)}
 
 
 def restored(notes: Mapping[str, Any], arrays: Mapping[str, Array], *, arms: int) -> PlanContent:
-    """Return the content that `stored` separated.
+    """Return a plan's content from the values and arrays of a file, the inverse of `stored`.
 
     Args:
         notes: its JSON values.
@@ -343,7 +351,7 @@ def restored(notes: Mapping[str, Any], arrays: Mapping[str, Array], *, arms: int
 
 
 def _without_none(value: Any) -> Any:
-    """Return JSON values without the null entries of objects."""
+    """Return JSON values without the null entries of objects, which stand for the defaults of fields."""
     if isinstance(value, Mapping):
         return {name: _without_none(part) for name, part in value.items() if part is not None}
     return [_without_none(part) for part in value] if isinstance(value, list) else value

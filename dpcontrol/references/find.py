@@ -76,18 +76,24 @@ _MOST_GROWTH = 8
 
 
 def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
-    """Return a mask (p,) of the friction parameters, which act without cart input but are not in the energy.
+    """Return a mask (p,) of the friction parameters, so that friction alone can be raised in steps.
+
+    These are the parameters that act without cart input but are not in the energy.
 
     Args:
         problem: equations with p parameters.
     """
-    e = problem.equations
-    slopes = ca.Function("slopes", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate, e.parameters)])
+    equations = problem.equations
+    slopes = ca.Function(
+        "slopes",
+        [equations.state, equations.inputs, equations.parameters],
+        [ca.jacobian(equations.rate, equations.parameters)],
+    )
     # The cart is at rest: terms in its velocity cancel to rounding.
-    anywhere = np.append(np.sqrt(np.arange(2.0, e.dimension)), [0.0, 0.0])
-    effect = np.abs(np.array(ca.densify(slopes(anywhere, 0.0, problem.parameters)))).max(0)
-    acts = effect > _ROUNDING * effect.max()
-    return acts & ~np.array(ca.which_depends(e.hamiltonian, e.parameters, 1, False), dtype=bool)
+    sample_state = np.append(np.sqrt(np.arange(2.0, equations.dimension)), [0.0, 0.0])
+    effects = np.abs(np.array(ca.densify(slopes(sample_state, 0.0, problem.parameters)))).max(0)
+    has_effect = effects > _ROUNDING * effects.max()
+    return has_effect & ~np.array(ca.which_depends(equations.hamiltonian, equations.parameters, 1, False), dtype=bool)
 
 
 def raise_friction(
@@ -106,11 +112,11 @@ def raise_friction(
         NaN and None if there is no solution even without friction.
     """
     friction = friction_parameters(problem)
-    reached, step, solution = np.nan, _STEP, None
+    reached_share, step, solution = np.nan, _STEP, None
     iterations, seconds = 0, 0.0
     quick = replace(settings, iterations=min(settings.iterations, _ITERATIONS))
-    while not reached >= 1.0 and step >= _LEAST_STEP:
-        share = 0.0 if solution is None else min(1.0, reached + step)
+    while not reached_share >= 1.0 and step >= _LEAST_STEP:
+        share = 0.0 if solution is None else min(1.0, reached_share + step)
         parameters = np.where(friction, share * problem.parameters, problem.parameters)
         solved = solve(
             replace(problem, parameters=parameters), first if solution is None else solution.trajectory, settings=quick,
@@ -118,41 +124,45 @@ def raise_friction(
         )  # fmt: skip
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if solved.succeeded and away_from_guess(problem, solved.trajectory)[0] <= FARTHEST:
-            reached, solution = share, solved
+            reached_share, solution = share, solved
         elif solution is None:
             break
         else:
             step /= 2
-    return reached, None if solution is None else replace(solution, iterations=iterations, seconds=seconds)
+    return reached_share, None if solution is None else replace(solution, iterations=iterations, seconds=seconds)
 
 
 def has_authority(problem: ReferenceProblem, times: Array) -> bool:
-    """True if the cart's acceleration moves any arm somewhere along the guess.
+    """Return True if the cart's acceleration moves any arm somewhere along the guess.
 
     Args:
         problem: equations and guess.
         times: times (K,), s.
     """
-    e, n = problem.equations, problem.pendulum_dimension // 2
-    effect = ca.Function("effect", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate[n : 2 * n], e.inputs)])
+    equations, n = problem.equations, problem.pendulum_dimension // 2
+    effect_of_input = ca.Function(
+        "effect",
+        [equations.state, equations.inputs, equations.parameters],
+        [ca.jacobian(equations.rate[n : 2 * n], equations.inputs)],
+    )
     states = np.hstack([problem.guess_at(times), np.zeros((len(times), 2))])
-    effects = np.array(effect.map(len(times))(states.T, 0.0, problem.parameters))
+    effects = np.array(effect_of_input.map(len(times))(states.T, 0.0, problem.parameters))
     return bool(np.abs(effects).max() > _NO_AUTHORITY)
 
 
 def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> Obstacle | None:
-    """Return the limits that an unconstrained motion exceeds, or None.
+    """Return the cart's limits that a motion exceeds as an obstacle, or None if it exceeds none.
 
     Args:
         problem: limits of the cart.
         trajectory: motion.
     """
-    passed = tuple(use for use in limit_uses(trajectory, problem.limits) if use.share > 1)
-    return Obstacle(ObstacleCause.LIMITS, uses=passed) if passed else None
+    passed_limits = tuple(use for use in limit_uses(trajectory, problem.limits) if use.share > 1)
+    return Obstacle(ObstacleCause.LIMITS, uses=passed_limits) if passed_limits else None
 
 
 def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> Obstacle:
-    """Return the cause of a failed solution: the cart's authority, the limits, the guess or the mesh.
+    """Return the obstacle that explains a failed solution: the cart's authority, its limits, the guess or the mesh.
 
     Args:
         problem: problem without a solution.
@@ -161,14 +171,14 @@ def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSet
     """
     if not has_authority(problem, first.mesh):
         return Obstacle(ObstacleCause.AUTHORITY)
-    free = solve(problem, first, settings=settings, limits=_UNLIMITED)
-    if not free.succeeded:
+    unlimited = solve(problem, first, settings=settings, limits=_UNLIMITED)
+    if not unlimited.succeeded:
         return Obstacle(ObstacleCause.GUESS)
-    return limits_passed(problem, free.trajectory) or Obstacle(ObstacleCause.MESH)
+    return limits_passed(problem, unlimited.trajectory) or Obstacle(ObstacleCause.MESH)
 
 
 def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> Array:
-    """Split the intervals whose error exceeds the tolerance.
+    """Return a mesh in which the intervals whose error exceeds the tolerance are split.
 
     The error of an interval scales with its length to the power `order`. An interval is split into at most four.
 
@@ -178,8 +188,8 @@ def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> A
         tolerance: largest scaled error.
         order: power of an interval's length to which its error is proportional.
     """
-    ratio = np.maximum(errors / (_AIMED * tolerance), 1e-300)
-    pieces = np.ceil(np.minimum(ratio, 1e30) ** (1 / order)).astype(int)
+    error_ratio = np.maximum(errors / (_AIMED * tolerance), 1e-300)
+    pieces = np.ceil(np.minimum(error_ratio, 1e30) ** (1 / order)).astype(int)
     pieces = np.where(errors > _ACCEPTED * tolerance, np.clip(pieces, 2, _MOST_PIECES), 1)
     parts = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(mesh[:-1], mesh[1:], pieces, strict=True)]
     return np.concatenate([*parts, mesh[-1:]])
@@ -199,16 +209,16 @@ def first_mesh(problem: ReferenceProblem, settings: ReferenceSettings, *, method
     mesh = np.linspace(0.0, problem.duration, count + 1)
     tau = np.linspace(0.0, 1.0, DENSE)
     times = np.minimum(times_on(mesh, tau), problem.duration)
-    dense = problem.guess_at(times.ravel()).reshape(count, DENSE, -1)
-    nodes = first_trajectory(problem, method, mesh).states[..., : problem.pendulum_dimension]
-    smooth = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), nodes)
+    guess_states = problem.guess_at(times.ravel()).reshape(count, DENSE, -1)
+    node_states = first_trajectory(problem, method, mesh).states[..., : problem.pendulum_dimension]
+    polynomial_states = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), node_states)
     scale = state_scale(problem.equations.dimension, problem.limits)[: problem.pendulum_dimension]
-    errors = np.abs((smooth - dense) / scale).max((1, 2))
+    errors = np.abs((polynomial_states - guess_states) / scale).max((1, 2))
     return split_mesh(mesh, errors, tolerance=settings.tolerance, order=len(method.points))
 
 
 def on_mesh(trajectory: Trajectory, mesh: Array, method: Method | None = None) -> Trajectory:
-    """Interpolate a trajectory on another mesh of equal span.
+    """Return a trajectory interpolated on another mesh of equal span, and for another method if one is given.
 
     Args:
         trajectory: motion.
@@ -220,17 +230,18 @@ def on_mesh(trajectory: Trajectory, mesh: Array, method: Method | None = None) -
     starts, lengths = trajectory.mesh[index][:, None], np.diff(trajectory.mesh)[index][:, None]
 
     def moved(points: Array, places: Array, values: Array) -> Array:
+        """Return values at new places of the new intervals, by the old polynomials through `values` at `points`."""
         tau = (times_on(mesh, places) - starts) / lengths
         rows = interpolation_matrix(points, tau.ravel()).reshape(*tau.shape, -1)
         return np.asarray(np.einsum("ikj,ijn->ikn", rows, values[index]), dtype=np.float64)
 
-    present, method = trajectory.method, method or trajectory.method
-    states = moved(present.support, method.support, trajectory.states)
-    return Trajectory(method, mesh, states, moved(present.points, method.points, trajectory.inputs))
+    old_method, method = trajectory.method, method or trajectory.method
+    states = moved(old_method.support, method.support, trajectory.states)
+    return Trajectory(method, mesh, states, moved(old_method.points, method.points, trajectory.inputs))
 
 
 def tail(reference: Reference, begin: float, *, seconds: float, turns: Array) -> Reference:
-    """Cut a part out of a reference.
+    """Return a part of a reference as a reference whose time begins at zero.
 
     Args:
         reference: reference to cut.
@@ -240,9 +251,9 @@ def tail(reference: Reference, begin: float, *, seconds: float, turns: Array) ->
     """
     end = min(begin + seconds, float(reference.mesh[-1]))
     inside = (reference.mesh > begin + _NODE) & (reference.mesh < end - _NODE)
-    cut = on_mesh(reference, np.concatenate([[begin], reference.mesh[inside], [end]]))
-    cut.states[..., : len(turns)] -= turns
-    return replace(reference, mesh=cut.mesh - begin, states=cut.states, inputs=cut.inputs)
+    part = on_mesh(reference, np.concatenate([[begin], reference.mesh[inside], [end]]))
+    part.states[..., : len(turns)] -= turns
+    return replace(reference, mesh=part.mesh - begin, states=part.states, inputs=part.inputs)
 
 
 _NODE = 1e-3
@@ -250,26 +261,36 @@ _NODE = 1e-3
 
 
 def _tightened(limits: Limits, required: Limits, largest: dict[str, float]) -> Limits | None:
-    """Return node limits that pull the polynomials inside `required`, or None if they are inside."""
-    changes = {}
+    """Return limits for the nodes that pull the polynomials inside the cart's limits, or None if they are inside.
+
+    Args:
+        limits: limits at the nodes in the last solution.
+        required: the cart's limits.
+        largest: largest size of each limited quantity along the solution, by name.
+    """
+    tighter_bounds = {}
     for name, bound in required.named().items():
-        over = largest[name] - bound
-        if over > _LIMIT_SLACK:
+        excess = largest[name] - bound
+        if excess > _LIMIT_SLACK:
             # The excess shifts to other intervals as the limit moves; tightening by more ends in a few rounds.
-            changes[name] = max(limits.named()[name] - 1.5 * over - 1e-4 * bound, 0.5 * bound)
-    return replace(limits, **changes) if changes else None
+            tighter_bounds[name] = max(limits.named()[name] - 1.5 * excess - 1e-4 * bound, 0.5 * bound)
+    return replace(limits, **tighter_bounds) if tighter_bounds else None
 
 
 def _is_another_motion(problem: ReferenceProblem, solved: Solved, settings: ReferenceSettings) -> bool:
-    """True if a weighted solution is far from the guess; without a weight, always false."""
-    followed = settings.pendulum_weight > 0
-    return followed and away_from_guess(problem, solved.trajectory)[0] > FARTHEST
+    """Return True if a solution is too far from the guess to be the same motion; False without a weight of it."""
+    follows_guess = settings.pendulum_weight > 0
+    return follows_guess and away_from_guess(problem, solved.trajectory)[0] > FARTHEST
 
 
 def _near_guess(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits
 ) -> Solved | None:
-    """Solve with a heavy weight on the guess, and return None without a solution near it."""
+    """Return a solution that a heavy weight in `settings` keeps near the guess, or None if there is none.
+
+    `first` is the guess on its mesh, and `limits` bound the cart at the nodes. A problem without a guess has no
+    solution.
+    """
     if settings.pendulum_weight == 0:
         return None
     solved = solve(problem, first, settings=settings, limits=limits)
@@ -279,32 +300,43 @@ def _near_guess(
 def _once_more(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, failed: Solved
 ) -> Solved | Obstacle:
-    """Return a solution by raising the friction, or what prevents it."""
+    """Return a solution found by raising the friction in steps, or the obstacle that prevents it.
+
+    Args:
+        problem: equations with full friction, and the guess.
+        first: guess on its mesh.
+        settings: settings of the solver.
+        limits: limits of the cart at the nodes.
+        failed: result of the search that failed.
+    """
     if settings.pendulum_weight == 0 or not has_authority(problem, first.mesh):
         return wanting(problem, first, settings)
     if not failed.succeeded:
-        free = solve(problem, first, settings=settings, limits=_UNLIMITED)
-        near = free.succeeded and not _is_another_motion(problem, free, settings)
-        if near and (passed := limits_passed(problem, free.trajectory)):
-            return passed
-    share, raised = raise_friction(problem, first, settings=settings, limits=limits)
-    if raised is None:
+        unlimited = solve(problem, first, settings=settings, limits=_UNLIMITED)
+        is_near = unlimited.succeeded and not _is_another_motion(problem, unlimited, settings)
+        if is_near and (passed_limits := limits_passed(problem, unlimited.trajectory)):
+            return passed_limits
+    share, solution = raise_friction(problem, first, settings=settings, limits=limits)
+    if solution is None:
         return Obstacle(ObstacleCause.NO_MOTION)
-    return raised if share >= 1.0 else Obstacle(ObstacleCause.FRICTION, share=share)
+    return solution if share >= 1.0 else Obstacle(ObstacleCause.FRICTION, share=share)
 
 
 def _failure(problem: ReferenceProblem, failed: Solved, obstacle: Obstacle) -> ReferenceEnding:
-    """Return the ending of a search whose solver failed or converged to a different motion."""
+    """Return the ending of a search that failed or found a different motion, with the obstacle that explains it."""
     if not failed.succeeded:
         return ReferenceEnding(ReferenceCause.SOLVER, answer=failed.outcome, obstacle=obstacle)
-    away, when = away_from_guess(problem, failed.trajectory)
+    distance, time = away_from_guess(problem, failed.trajectory)
     return ReferenceEnding(
-        ReferenceCause.OTHER_MOTION, distance=away, times=(when,), allowed=FARTHEST, obstacle=obstacle
+        ReferenceCause.OTHER_MOTION, distance=distance, times=(time,), allowed=FARTHEST, obstacle=obstacle
     )
 
 
 def _solve_near(problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits) -> Solved:
-    """Return the solution near a motion, with a large barrier if the motion is too far for a small one."""
+    """Return the solution near a nearly converged motion `first`.
+
+    The solver starts with a small barrier, and with a large one if that fails because the motion is too far.
+    """
     solved = solve(problem, first, settings=settings, limits=limits, search="warm")
     return solved if solved.succeeded else solve(problem, first, settings=settings, limits=limits)
 
@@ -336,7 +368,7 @@ def find_reference(
     """
     method = method_named(settings.method)
     first = near or first_trajectory(problem, method, first_mesh(problem, settings, method=method))
-    most = _MOST_GROWTH * len(first.mesh)
+    most_nodes = _MOST_GROWTH * len(first.mesh)
     limits, iterations, seconds, round_number = problem.limits, 0, 0.0, 0
 
     def result(solved: Solved, ending: ReferenceEnding) -> Reference:
@@ -354,29 +386,29 @@ def find_reference(
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if not solved.succeeded or _is_another_motion(problem, solved, settings):
             start = first_trajectory(problem, method, first.mesh)
-            held = replace(settings, pendulum_weight=_HELD * settings.pendulum_weight)
-            raised = _near_guess(problem, start, settings=held, limits=limits)
-            if raised is not None:
-                settings = held
+            heavy_settings = replace(settings, pendulum_weight=_HELD * settings.pendulum_weight)
+            replacement = _near_guess(problem, start, settings=heavy_settings, limits=limits)
+            if replacement is not None:
+                settings = heavy_settings
             else:
-                raised = _once_more(problem, start, settings=settings, limits=limits, failed=solved)
-                if isinstance(raised, Obstacle):
-                    return result(replace(solved, trajectory=first), _failure(problem, solved, raised))
-            solved = raised
-            iterations, seconds = iterations + raised.iterations, seconds + raised.seconds
+                replacement = _once_more(problem, start, settings=settings, limits=limits, failed=solved)
+                if isinstance(replacement, Obstacle):
+                    return result(replace(solved, trajectory=first), _failure(problem, solved, replacement))
+            solved = replacement
+            iterations, seconds = iterations + replacement.iterations, seconds + replacement.seconds
         errors = error_between_nodes(problem, solved.trajectory)
         worst = float(errors.max())
         tighter = _tightened(limits, problem.limits, largest_values(solved.trajectory, problem.limits))
         if worst <= _ACCEPTED * settings.tolerance and tighter is None:
             progress("reference", 1.0)
-            reached = ReferenceEnding(
+            success = ReferenceEnding(
                 ReferenceCause.CONVERGED, iterations=iterations, error=worst, intervals=len(errors)
             )
-            return result(solved, reached)
-        finer = split_mesh(solved.trajectory.mesh, errors, tolerance=settings.tolerance, order=len(method.points))
-        if round_number == settings.rounds or len(finer) > most:
+            return result(solved, success)
+        finer_mesh = split_mesh(solved.trajectory.mesh, errors, tolerance=settings.tolerance, order=len(method.points))
+        if round_number == settings.rounds or len(finer_mesh) > most_nodes:
             break
-        first = on_mesh(solved.trajectory, finer)
+        first = on_mesh(solved.trajectory, finer_mesh)
         limits = tighter or limits
     uses = limit_uses(solved.trajectory, problem.limits)
     passed = tuple(use for use in uses if use.largest > use.bound + _LIMIT_SLACK)
@@ -389,7 +421,7 @@ def find_reference(
 
 
 def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Reference:
-    """Return a frictionless guess as a reference, cart at rest.
+    """Return the reference along a frictionless guess, whose cart stays at rest, without optimisation.
 
     The mesh is refined until the polynomials satisfy the equations within the tolerance. If the guess is not a motion
     of the arms, that is impossible and the status reports it.
@@ -398,27 +430,27 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
         problem: problem without friction.
         settings: mesh, tolerance and rounds.
     """
-    began = time.perf_counter()
+    begin = time.perf_counter()
     method = method_named(settings.method)
     mesh, rounds = first_mesh(problem, settings, method=method), 0
     while True:
         trajectory = first_trajectory(problem, method, mesh)
         errors = error_between_nodes(problem, trajectory)
-        worst, rounds = float(errors.max()), rounds + 1
-        if worst <= _ACCEPTED * settings.tolerance or rounds == settings.rounds:
+        largest_error, rounds = float(errors.max()), rounds + 1
+        if largest_error <= _ACCEPTED * settings.tolerance or rounds == settings.rounds:
             break
         mesh = split_mesh(mesh, errors, tolerance=settings.tolerance, order=len(method.points))
-    converged = worst <= settings.tolerance
+    converged = largest_error <= settings.tolerance
     cause = ReferenceCause.SHADOWING_ORBIT if converged else ReferenceCause.NO_ORBIT
-    ending = ReferenceEnding(cause, error=worst, intervals=len(errors), allowed=settings.tolerance)
+    ending = ReferenceEnding(cause, error=largest_error, intervals=len(errors), allowed=settings.tolerance)
     return Reference.of(
-        trajectory, problem.limits, ending=ending, converged=converged, max_error_between_nodes=worst,
-        solve_seconds=time.perf_counter() - began,
+        trajectory, problem.limits, ending=ending, converged=converged, max_error_between_nodes=largest_error,
+        solve_seconds=time.perf_counter() - begin,
     )  # fmt: skip
 
 
 def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
-    """Return a smooth guess, at rest at both ends.
+    """Return a guess that turns the arms smoothly from one state to another, at rest at both ends.
 
     Args:
         start: first state (2n,) of the arms, rad and rad/s.
@@ -429,6 +461,7 @@ def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
     change = end[:n] - start[:n]
 
     def guess(times: Array) -> Array:
+        """Return the arms' states (K, 2n) at times (K,), s."""
         t = np.asarray(times, dtype=float)[:, None] / duration
         return np.hstack([start[:n] + change * (3 * t**2 - 2 * t**3), change * (6 * t - 6 * t**2) / duration])
 
@@ -446,6 +479,6 @@ def refined_transfer(
         settings: settings of the solution.
         cart_weight: weight of the cart's position in the cost, 1/s⁴.
     """
-    wanted = replace(settings, pendulum_weight=0.0, cart_weight=cart_weight, end_tolerance=0.0)
+    transfer_settings = replace(settings, pendulum_weight=0.0, cart_weight=cart_weight, end_tolerance=0.0)
     mesh = even_mesh(motion.duration, settings.interval)
-    return find_reference(problem, wanted, near=on_mesh(motion, mesh, method_named(settings.method)))
+    return find_reference(problem, transfer_settings, near=on_mesh(motion, mesh, method_named(settings.method)))

@@ -48,7 +48,7 @@ class Method(Brief):
 
     @property
     def closes(self) -> bool:
-        """True if the last support place ends the interval and thus starts the next one."""
+        """True if the last support place is the interval's end, so that its value is the next interval's start."""
         return bool(self.support[-1] == 1.0)
 
     @property
@@ -58,7 +58,7 @@ class Method(Brief):
 
 
 def barycentric_weights(points: Array) -> Array:
-    """Return the weights (K,) of barycentric interpolation.
+    """Return the weights (K,) with which barycentric interpolation evaluates the polynomial through K points.
 
     Source: Berrut & Trefethen, Barycentric Lagrange interpolation, SIAM Review 46 (2004), eq. 3.2.
 
@@ -77,12 +77,13 @@ def interpolation_matrix(points: Array, at: ArrayLike) -> Array:
         points: distinct points (K,).
         at: the other places (M,).
     """
-    gaps = np.asarray(at, dtype=float)[:, None] - points[None, :]
-    exact = gaps == 0
-    parts = barycentric_weights(points) / np.where(exact, 1.0, gaps)
-    parts[exact.any(1)] = 0.0
-    parts[exact] = 1.0
-    return parts / parts.sum(1, keepdims=True)
+    distances = np.asarray(at, dtype=float)[:, None] - points[None, :]
+    coincides = distances == 0
+    terms = barycentric_weights(points) / np.where(coincides, 1.0, distances)
+    # The formula divides by zero at a point, of which the value counts alone.
+    terms[coincides.any(1)] = 0.0
+    terms[coincides] = 1.0
+    return terms / terms.sum(1, keepdims=True)
 
 
 def differentiation_matrix(points: Array) -> Array:
@@ -154,7 +155,7 @@ def lobatto(count: int, *, name: str = "") -> Method:
 
 
 def collocation_method(name: str, points: Array, *, order: int) -> Method:
-    """Return the method that collocates at given points.
+    """Return the collocation method with given points, from which its matrices and weights follow.
 
     Args:
         name: name of the method.
@@ -188,7 +189,7 @@ _FAMILIES = {"radau": (radau, 2), "gauss": (gauss, 1), "lobatto": (lobatto, 2)}
 
 @cache
 def method_named(name: str) -> Method:
-    """Return the method of a name.
+    """Return the collocation method that a setting names.
 
     Args:
         name: such as "radau-5", "gauss-4", "lobatto-4" or "hermite-simpson".
@@ -201,9 +202,9 @@ def method_named(name: str) -> Method:
     family, _, count = name.partition("-")
     if family not in _FAMILIES or not (count.isascii() and count.isdecimal()):
         names = [f"{family}-{number}" for family, (_, least) in _FAMILIES.items() for number in range(least, 13)]
-        close = nearest(name, [*names, "hermite-simpson"])
+        hint = nearest(name, [*names, "hermite-simpson"])
         raise InputError(
-            f"method = {name!r}: {f'did you mean {close!r}? Allowed' if close else 'allowed'}: radau-2 to radau-12, "
+            f"method = {name!r}: {f'did you mean {hint!r}? Allowed' if hint else 'allowed'}: radau-2 to radau-12, "
             "gauss-1 to gauss-12, lobatto-2 to lobatto-12 and hermite-simpson"
         )
     make, least = _FAMILIES[family]

@@ -69,7 +69,7 @@ class Limits(Settings, table="limits"):
     ] = 0.0
 
     def named(self) -> dict[str, float]:
-        """Return {name: bound} of the existing bounds."""
+        """Return the bounds by name; the jerk is listed only if it is limited."""
         bounds = {"position": self.position, "velocity": self.velocity, "acceleration": self.acceleration}
         return {**bounds, "jerk": self.jerk} if self.jerk > 0 else bounds
 
@@ -105,7 +105,7 @@ class Scale:
         return self.length / self.time**2
 
     def state(self, arms: int) -> Array:
-        """Return the factors (2n+2,) on a state.
+        """Return the factors (2n+2,) that convert a state to the units of the laboratory's arms.
 
         Args:
             arms: number n of arms.
@@ -113,7 +113,7 @@ class Scale:
         return np.array([1.0] * arms + [1 / self.time] * arms + [self.length, self.length / self.time])
 
     def limits(self, limits: Limits, share: float = 1.0) -> Limits:
-        """Return a share of the cart's limits in the laboratory's units.
+        """Return the cart's limits, or a share of them, in the units of the laboratory's arms.
 
         Args:
             limits: limits of the cart.
@@ -143,6 +143,8 @@ class EndConditions(Settings, table="ends"):
 
 def state_scale(dimension: int, limits: Limits) -> Array:
     """Return the scale of each component of a state: π per angle, 10 rad/s per rate, the full stroke and 3 m/s.
+
+    Defects, errors and distances of states are measured in these units.
 
     Args:
         dimension: number of components.
@@ -194,11 +196,11 @@ class ReferenceProblem(Brief):
 
     @property
     def pendulum_dimension(self) -> int:
-        """Return 2n."""
+        """Number 2n of entries of the pendulum's state, without those of the cart."""
         return self.equations.dimension - 2
 
     def guess_at(self, times: Array) -> Array:
-        """Return the guess (K, 2n) at given times.
+        """Return the pendulum's states (K, 2n) of the guess at given times.
 
         Args:
             times: times (K,), s.

@@ -84,7 +84,7 @@ class Reference(Trajectory):
 
     @classmethod
     def of(cls, trajectory: Trajectory, limits: Limits, **about: Any) -> "Reference":
-        """Return a trajectory as a reference.
+        """Return a trajectory as a reference with limits and the figures of its search.
 
         Args:
             trajectory: motion with its input.
@@ -98,7 +98,7 @@ class Reference(Trajectory):
 
     @property
     def residual(self) -> float:
-        """Return the larger of error between nodes and constraint violation (scaled)."""
+        """Larger of error between nodes and constraint violation, scaled."""
         return max(self.max_error_between_nodes, self.constraint_violation)
 
     @cached_property
@@ -119,22 +119,22 @@ class Reference(Trajectory):
 
     @property
     def max_cart_position(self) -> float:
-        """Return the cart's largest distance from the middle, m."""
+        """Largest distance of the cart from the middle, m."""
         return self.largest["position"]
 
     @property
     def max_cart_velocity(self) -> float:
-        """Return the cart's largest speed, m/s."""
+        """Largest speed of the cart, m/s."""
         return self.largest["velocity"]
 
     @property
     def max_cart_acceleration(self) -> float:
-        """Return the cart's largest acceleration, m/s²."""
+        """Largest acceleration of the cart, m/s²."""
         return self.largest["acceleration"]
 
     @property
     def rms_cart_acceleration(self) -> float:
-        """Return the root of the cart's mean squared acceleration, m/s²."""
+        """Root of the mean squared acceleration of the cart, m/s²."""
         lengths = np.diff(self.mesh)
         square = (self.inputs[..., 0] ** 2) @ self.method.weights
         return float(np.sqrt(square @ lengths / lengths.sum()))
@@ -154,11 +154,11 @@ class Reference(Trajectory):
         """Errors between nodes (N,), scaled, measured again on each interval; None without known arms or heyoka."""
         if self.arms is None or not installed("heyoka"):
             return None
-        nothing = np.zeros(self.states.shape[-1] - 2)
+        zero_guess = np.zeros(self.states.shape[-1] - 2)
         problem = ReferenceProblem(
             equations=equations_of(self.arms, Level.CART),
             parameters=self.arms.planned().base(),
-            guess=lambda times: np.broadcast_to(nothing, (len(times), len(nothing))),
+            guess=lambda times: np.broadcast_to(zero_guess, (len(times), len(zero_guess))),
             duration=self.duration,
             limits=self.limits,
         )
@@ -264,25 +264,25 @@ def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
         float(np.max(np.abs(before.state(before.mesh[-1]) - after.state(after.mesh[0])) / scale))
         for before, after in pairwise(pieces)
     ]
-    bad = [piece for piece in pieces if not piece.converged]
+    failed = [piece for piece in pieces if not piece.converged]
     error = max(piece.max_error_between_nodes for piece in pieces)
     iterations = sum(piece.iterations for piece in pieces)
     ending = ReferenceEnding(
         ReferenceCause.PIECES, iterations=iterations, error=error, intervals=len(mesh) - 1, parts=len(pieces)
     )
-    together = replace(
+    joined_reference = replace(
         first,
         mesh=mesh,
         states=np.concatenate([piece.states for piece in pieces]),
         inputs=np.concatenate([piece.inputs for piece in pieces]),
-        ending=bad[0].ending if bad else ending,
-        converged=not bad,
+        ending=failed[0].ending if failed else ending,
+        converged=not failed,
         max_error_between_nodes=error,
         constraint_violation=max([*jumps, *(piece.constraint_violation for piece in pieces)]),
         iterations=iterations,
         solve_seconds=sum(piece.solve_seconds for piece in pieces),
     )
-    return together, begins
+    return joined_reference, begins
 
 
 FORMAT = "dpcontrol-reference"
@@ -298,7 +298,7 @@ _LARGEST = 1e9
 
 
 def save_reference(path: Path | BytesIO, reference: Reference) -> None:
-    """Write a reference atomically, in the layout above.
+    """Write a reference to one .npz file, in the layout of the module's text, and as a whole or not at all.
 
     Args:
         path: path, or a file in memory.
@@ -326,12 +326,16 @@ def save_reference(path: Path | BytesIO, reference: Reference) -> None:
 
 
 def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
-    """Build a reference from a file's parts; any of the raised errors means an invalid file."""
+    """Return the reference of a file's header and arrays, after a check that they fit each other.
+
+    Raises:
+        ValueError: the file is invalid; so do `LookupError`, `TypeError` and `InputError`.
+    """
     method = method_named(header["method"])
     mesh, states, inputs = (np.asarray(arrays[k], dtype=float) for k in ("mesh", "states", "inputs"))
     intervals, count = len(mesh) - 1, len(method.points)
-    places = zip((arrays["points"], arrays["support"]), (method.points, method.support), strict=True)
-    if not all(np.allclose(*pair, rtol=0, atol=1e-12) for pair in places):
+    place_pairs = zip((arrays["points"], arrays["support"]), (method.points, method.support), strict=True)
+    if not all(np.allclose(*pair, rtol=0, atol=1e-12) for pair in place_pairs):
         raise ValueError(f"its points or support are not those of {method.name}")
     if intervals < 1 or not (mesh[1:] > mesh[:-1]).all():
         raise ValueError("its mesh does not rise")
@@ -344,18 +348,18 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     figures = {name: np.inf if numbers[name] is None else float(numbers[name]) for name in _FOUND}
     if np.isnan([*figures.values(), *limits.named().values()]).any():
         raise ValueError("its numbers or limits are not numbers")
-    extra = {name.removeprefix(_EXTRA): array for name, array in arrays.items()}
+    arrays_of_plan = {name.removeprefix(_EXTRA): array for name, array in arrays.items()}
     notes = header["notes"]
     return Reference(
         method, mesh, states, inputs, limits,
         ending=ReferenceEnding(ReferenceCause.STORED, text=str(header["status"])), converged=bool(header["converged"]),
         iterations=int(figures.pop("iterations")), **figures,
-        plan=restored(notes, extra, arms=states.shape[-1] // 2 - 1) if notes else None,
+        plan=restored(notes, arrays_of_plan, arms=states.shape[-1] // 2 - 1) if notes else None,
     )  # fmt: skip
 
 
 def load_reference(path: Path | IO[bytes]) -> Reference:
-    """Read what `save_reference` wrote.
+    """Return the reference that a file of `save_reference` holds.
 
     Args:
         path: path, or an open binary file.
@@ -363,6 +367,6 @@ def load_reference(path: Path | IO[bytes]) -> Reference:
     Raises:
         InputError: the file does not exist, is damaged or is not a reference.
     """
-    making = {"make": "plan the itinerary first", "again": "plan again"}
-    with archive(path, what="a reference", **making, format=FORMAT, versions=(VERSION,)) as (header, arrays):
+    remedies = {"make": "plan the itinerary first", "again": "plan again"}
+    with archive(path, what="a reference", **remedies, format=FORMAT, versions=(VERSION,)) as (header, arrays):
         return _checked(header, arrays)

@@ -60,9 +60,10 @@ _SMALL = 0.5
 
 
 def _multipliers(parts: Array) -> NDArray[np.complex128]:
-    """Return the eigenvalues of a product, largest modulus first.
+    """Return the Floquet multipliers of a period from its parts, largest modulus first.
 
-    The product is parts[-1] … parts[0] (P, n, n). The cart's 1, 1 are added.
+    They are the eigenvalues of the product parts[-1] … parts[0] (P, n, n) of the pendulum's transition matrices, and
+    the cart's 1, 1.
 
     Eigenvalues well inside the unit circle come from the product of the parts' inverses, because the product itself
     resolves them only to rounding times its largest. The pendulum's motion does not depend on the cart.
@@ -71,10 +72,13 @@ def _multipliers(parts: Array) -> NDArray[np.complex128]:
     for part in parts:
         forward = part @ forward
         backward = backward @ np.linalg.inv(part)
-    values, small = np.linalg.eigvals(forward).astype(complex), 1 / np.linalg.eigvals(backward).astype(complex)
-    values, small = (v[np.argsort(-np.abs(v), kind="stable")] for v in (values, small))
-    every = np.concatenate([np.where(np.abs(small) < _SMALL, small, values), [1.0, 1.0]])
-    return every[np.argsort(-np.abs(every), kind="stable")]
+    large_values, small_values = (
+        np.linalg.eigvals(forward).astype(complex),
+        1 / np.linalg.eigvals(backward).astype(complex),
+    )
+    large_values, small_values = (v[np.argsort(-np.abs(v), kind="stable")] for v in (large_values, small_values))
+    multipliers = np.concatenate([np.where(np.abs(small_values) < _SMALL, small_values, large_values), [1.0, 1.0]])
+    return multipliers[np.argsort(-np.abs(multipliers), kind="stable")]
 
 
 STRETCH = 0.2
@@ -126,13 +130,16 @@ class SectionMap(Brief):
     response: Array
 
     def pulse(self, times: ArrayLike) -> Array:
-        """Return the pulse of height 1 (…), zero before and after.
+        """Return the half-sine pulse of height 1 that control on sections adds to the input, zero before and after it.
 
         Args:
             times: times (…) after the start's crossing, s.
+
+        Returns:
+            Values (…).
         """
-        s = np.asarray(times, dtype=float) / self.duration
-        return np.where((s >= 0) & (s <= 1), np.sin(np.pi * np.clip(s, 0.0, 1.0)), 0.0)
+        share = np.asarray(times, dtype=float) / self.duration
+        return np.where((share >= 0) & (share <= 1), np.sin(np.pi * np.clip(share, 0.0, 1.0)), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,12 +227,12 @@ class SustainedOrbit(ByReference, Timed):
 
     @property
     def period(self) -> float:
-        """Return the period in s."""
+        """Period in s."""
         return self.reference.duration
 
     @property
     def residual(self) -> float:
-        """Return the scaled residual, the larger of error between nodes and violation of closing, energy or limits."""
+        """Scaled residual: the larger of error between nodes and violation of closing, energy or limits."""
         return self.reference.residual
 
     def state(self, times: ArrayLike) -> Array:
@@ -237,7 +244,7 @@ class SustainedOrbit(ByReference, Timed):
         return self.reference.state(np.mod(times, self.period))
 
     def input(self, times: ArrayLike) -> Array:
-        """Return the cart's acceleration (…), m/s².
+        """Return the cart's acceleration (…), m/s², that sustains the orbit, at any times.
 
         Args:
             times: any times (…), s.
@@ -246,9 +253,13 @@ class SustainedOrbit(ByReference, Timed):
 
     @cached_property
     def _jacobians(self) -> ca.Function:
-        e = self.equations
-        parts = [ca.densify(ca.jacobian(e.rate, e.state)), ca.densify(ca.jacobian(e.rate, e.inputs))]
-        return ca.Function("linear", [e.state, e.inputs, e.parameters], parts, {"cse": True})
+        """Function of state, input and parameters to A = ∂f/∂x (N, N) and B = ∂f/∂u (N, 1)."""
+        equations = self.equations
+        parts = [
+            ca.densify(ca.jacobian(equations.rate, equations.state)),
+            ca.densify(ca.jacobian(equations.rate, equations.inputs)),
+        ]
+        return ca.Function("linear", [equations.state, equations.inputs, equations.parameters], parts, {"cse": True})
 
     def pieces(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
         """Return transition matrices (P, N, N) and pulse responses (P, N) of the pieces between two times.
@@ -263,65 +274,78 @@ class SustainedOrbit(ByReference, Timed):
         mesh = self.reference.mesh
         ends = np.concatenate([[begin], mesh[(mesh > begin + 1e-12) & (mesh < end - 1e-12)], [end]])
         lengths, n, count = np.diff(ends), self.equations.dimension, len(_METHOD.points)
-        flat = times_on(ends, _METHOD.points).ravel()
-        values = self._jacobians.map(len(flat))(
-            self.reference.state(flat).T, self.reference.input(flat).T, ca.repmat(ca.DM(self.parameters), 1, len(flat))
+        flat_times = times_on(ends, _METHOD.points).ravel()
+        values = self._jacobians.map(len(flat_times))(
+            self.reference.state(flat_times).T,
+            self.reference.input(flat_times).T,
+            ca.repmat(ca.DM(self.parameters), 1, len(flat_times)),
         )
-        a, b = (np.array(v).reshape(n, len(flat), -1).transpose(1, 0, 2) for v in values)
-        forced = b[..., 0] * (np.zeros(len(flat)) if pulse is None else np.asarray(pulse(flat)))[:, None]
-        a, forced = a.reshape(-1, count, n, n), forced.reshape(-1, count, n)
+        a, b = (np.array(v).reshape(n, len(flat_times), -1).transpose(1, 0, 2) for v in values)
+        forcing = b[..., 0] * (np.zeros(len(flat_times)) if pulse is None else np.asarray(pulse(flat_times)))[:, None]
+        a, forcing = a.reshape(-1, count, n, n), forcing.reshape(-1, count, n)
         # Unknowns: δx at the points, for each unit vector at the start and for the pulse.
         system = np.tile(np.kron(_METHOD.differentiation[:, 1:], np.eye(n)), (len(lengths), 1, 1))
-        right = np.empty((len(lengths), count * n, n + 1))
-        right[..., :n] = -np.kron(_METHOD.differentiation[:, :1], np.eye(n))
-        right[..., n] = (lengths[:, None, None] * forced).reshape(len(lengths), -1)
+        right_side = np.empty((len(lengths), count * n, n + 1))
+        right_side[..., :n] = -np.kron(_METHOD.differentiation[:, :1], np.eye(n))
+        right_side[..., n] = (lengths[:, None, None] * forcing).reshape(len(lengths), -1)
         for k in range(count):
             rows = slice(k * n, (k + 1) * n)
             system[:, rows, rows] -= lengths[:, None, None] * a[:, k]
-        inner = np.linalg.solve(system, right).reshape(len(lengths), count, n, n + 1)
-        at_end = np.einsum("k,pkij->pij", _METHOD.end[1:], inner)
-        at_end[..., :n] += _METHOD.end[0] * np.eye(n)
-        return at_end[..., :n], at_end[..., n]
+        solution = np.linalg.solve(system, right_side).reshape(len(lengths), count, n, n + 1)
+        end_values = np.einsum("k,pkij->pij", _METHOD.end[1:], solution)
+        end_values[..., :n] += _METHOD.end[0] * np.eye(n)
+        return end_values[..., :n], end_values[..., n]
 
     def over(self, begin: float, duration: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) over a time, which can pass the period's end.
+        """Return the linearised flow along the orbit over a time that can pass the period's end.
 
         Args:
             begin: begin, s.
             duration: time, s.
             pulse: v of the time from `begin` on, zero if there is none.
+
+        Returns:
+            State-transition matrix Φ (N, N), and response Γ (N,) of the state to the pulse.
         """
         n, period = self.equations.dimension, self.period
         matrix, response = np.eye(n), np.zeros(n)
-        first = min(duration, period - begin)
-        spans = [(begin, begin + first, -begin)]
+        time_to_period_end = min(duration, period - begin)
+        spans = [(begin, begin + time_to_period_end, -begin)]
         # The rest after the period's end starts at its clock's zero, unless it is rounding.
-        if duration - first > 1e-12 * period:
-            spans.append((0.0, duration - first, first))
+        if duration - time_to_period_end > 1e-12 * period:
+            spans.append((0.0, duration - time_to_period_end, time_to_period_end))
         for start, end, shift in spans:
-            shifted = None if pulse is None else lambda t, shift=shift: pulse(t + shift)
-            part, forced = self._span(start, end, pulse=shifted)
-            matrix, response = part @ matrix, part @ response + forced
+            shifted_pulse = None if pulse is None else lambda t, shift=shift: pulse(t + shift)
+            part_matrix, part_response = self._span(start, end, pulse=shifted_pulse)
+            matrix, response = part_matrix @ matrix, part_matrix @ response + part_response
         return matrix, response
 
     def _span(self, begin: float, end: float, *, pulse: Signal | None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) between two times of one period's clock; pulse as in `pieces`."""
+        """Return the linearised flow between two times (s) within one period of the orbit's clock.
+
+        `pulse` is an added cart acceleration v(t), m/s², or None.
+
+        Returns:
+            State-transition matrix Φ (N, N), and response Γ (N,) of the state to the pulse.
+        """
         n = self.equations.dimension
         matrix, response = np.eye(n), np.zeros(n)
-        for part, forced in zip(*self.pieces(begin, end, pulse=pulse), strict=True):
-            matrix, response = part @ matrix, part @ response + forced
+        for part_matrix, part_response in zip(*self.pieces(begin, end, pulse=pulse), strict=True):
+            matrix, response = part_matrix @ matrix, part_matrix @ response + part_response
         return matrix, response
 
     def section(self, phase: float) -> PhaseSection:
         """Return the section across the orbit at a phase.
+
+        Control on sections measures the deviation of a state where it crosses them.
 
         Args:
             phase: phase, 1 for a period, counted modulo 1.
         """
         phase = phase % 1.0
         time = phase * self.period
-        state, held = self.reference.state(time), self.reference.input(time)
-        rate = np.array(self.equations.function()(state, held, self.parameters)).ravel()
+        state, acceleration = self.reference.state(time), self.reference.input(time)
+        rate = np.array(self.equations.function()(state, acceleration, self.parameters)).ravel()
         scale = state_scale(len(state), self.reference.limits)
         normal = rate / scale**2
         normal[-2:] = 0.0
@@ -352,12 +376,15 @@ class SustainedOrbit(ByReference, Timed):
         return tuple(self._map(a, b, self.period / count) for a, b in pairwise((*sections, sections[0])))
 
     def _map(self, start: PhaseSection, end: PhaseSection, duration: float) -> SectionMap:
-        bare = SectionMap(start, end, duration, np.empty(0), np.empty(0))
-        matrix, response = self.over(start.time, duration, pulse=bare.pulse)
-        return replace(bare, matrix=end.projection @ matrix, response=end.projection @ response)
+        """Return the linearised map from one section to the next, which is reached after about `duration`, s."""
+        empty_map = SectionMap(start, end, duration, np.empty(0), np.empty(0))
+        matrix, response = self.over(start.time, duration, pulse=empty_map.pulse)
+        return replace(empty_map, matrix=end.projection @ matrix, response=end.projection @ response)
 
     def section_multipliers(self, count: int) -> NDArray[np.complex128]:
         """Return the multipliers (N-1,) of the section map over a period, largest first.
+
+        They tell the growth of a deviation over a period if the input's clock is reset at each section.
 
         Args:
             count: number of sections.
@@ -366,10 +393,11 @@ class SustainedOrbit(ByReference, Timed):
             InputError: `count` is less than 1 or more than 1,000.
         """
         maps, n = self.section_maps(count), self.lyapunov.system.dimension
-        bases = [np.linalg.svd(m.start.normal[None, :n])[2][1:].T for m in maps]
+        # Each section is spanned by the directions of the pendulum's state that are at right angles to its normal.
+        bases = [np.linalg.svd(section_map.start.normal[None, :n])[2][1:].T for section_map in maps]
         parts = [
-            after.T @ m.matrix[:n, :n] @ before
-            for m, before, after in zip(maps, bases, bases[1:] + bases[:1], strict=True)
+            end_basis.T @ section_map.matrix[:n, :n] @ start_basis
+            for section_map, start_basis, end_basis in zip(maps, bases, bases[1:] + bases[:1], strict=True)
         ]
         return _multipliers(np.array(parts))
 
@@ -400,7 +428,7 @@ def sustained_orbit(
     settings: ReferenceSettings = SUSTAINED,
     progress: Progress = no_progress,
 ) -> SustainedOrbit:
-    """Continue a Lyapunov orbit to one of the same arms with friction and cart.
+    """Return the periodic orbit of arms with friction, kept up by a cart, that continues one of their Lyapunov orbits.
 
     If `converged` is False, do not use the result; `status` has the cause and a remedy.
 
@@ -421,9 +449,9 @@ def sustained_orbit(
         raise InputError(f"the orbit about {lyapunov.saddle} is of other arms than the {arms.count} given")
     curve = OrbitCurve(lyapunov)
     # The fastest arm resolves the phase best.
-    leading = int(np.argmax(np.abs(lyapunov.state[n : 2 * n])))
+    fastest_arm = int(np.argmax(np.abs(lyapunov.state[n : 2 * n])))
     start = np.full(2 * n + 2, np.nan)
-    start[leading] = lyapunov.state[leading]
+    start[fastest_arm] = lyapunov.state[fastest_arm]
     problem = ReferenceProblem(
         equations=equations_of(arms, Level.CART),
         parameters=arms.base(),

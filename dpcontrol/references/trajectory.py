@@ -44,30 +44,33 @@ class Trajectory(Brief):
 
     @property
     def duration(self) -> float:
-        """Return its length in s."""
+        """Duration in s."""
         return float(self.mesh[-1] - self.mesh[0])
 
     @property
     def effort(self) -> float:
-        """Return ∫u² of the first input by the method's quadrature.
-
-        The ∫u² is in m²/s³ for an acceleration.
-        """
+        """Effort ∫u² of the first input by the method's quadrature, in m²/s³ for an acceleration."""
         return float((self.inputs[..., 0] ** 2 @ self.method.weights) @ np.diff(self.mesh))
 
     @property
     def input_times(self) -> Array:
-        """Return the times (N, K) of `inputs`."""
+        """Times (N, K) of `inputs`, s."""
         return times_on(self.mesh, self.method.points)
 
     def _evaluate(self, times: ArrayLike, places: Array, values: Array) -> Array:
-        """Return values (…, N) at times of the polynomials through values (K, P, N) at places (P,) of intervals."""
-        at = np.clip(np.asarray(times, dtype=float), self.mesh[0], self.mesh[-1])
-        flat = at.ravel()
-        index = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(self.mesh) - 2)
-        tau = (flat - self.mesh[index]) / (self.mesh[index + 1] - self.mesh[index])
+        """Return the values (…, nx) of the intervals' polynomials at times (…), s, the nearest end's outside.
+
+        Args:
+            times: times (…), s.
+            places: places (P,) of the given values in an interval, 0 to 1.
+            values: values (N, P, nx) at these places of each interval.
+        """
+        clipped_times = np.clip(np.asarray(times, dtype=float), self.mesh[0], self.mesh[-1])
+        flat_times = clipped_times.ravel()
+        index = np.clip(np.searchsorted(self.mesh, flat_times, side="right") - 1, 0, len(self.mesh) - 2)
+        tau = (flat_times - self.mesh[index]) / (self.mesh[index + 1] - self.mesh[index])
         rows = interpolation_matrix(places, tau)
-        return np.einsum("mk,mkn->mn", rows, values[index]).reshape(*at.shape, values.shape[-1])
+        return np.einsum("mk,mkn->mn", rows, values[index]).reshape(*clipped_times.shape, values.shape[-1])
 
     def state(self, times: ArrayLike) -> Array:
         """Return states (…, nx) at given times.
@@ -91,7 +94,7 @@ class Trajectory(Brief):
 
 
 def even_mesh(duration: float, interval: float) -> Array:
-    """Return the mesh (N+1,) of equal intervals, s.
+    """Return the mesh (N+1,) of equal intervals, s, that are at most as long as given.
 
     Args:
         duration: length of the mesh, s.
@@ -101,7 +104,7 @@ def even_mesh(duration: float, interval: float) -> Array:
 
 
 def times_on(mesh: Array, places: Array) -> Array:
-    """Return the times (N, K) of places in each interval.
+    """Return the times (N, K) of the same places in each interval of a mesh, s.
 
     Args:
         mesh: ends of the intervals (N+1,), s.
@@ -124,7 +127,7 @@ class Solved:
 
 
 def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> Trajectory:
-    """Return the guess on the mesh, with the cart at rest in the middle.
+    """Return the guess as a trajectory on a mesh, with the cart at rest in the middle.
 
     Args:
         problem: problem with a guess.
@@ -147,7 +150,7 @@ _LOOK = 0.005
 
 
 def power_coefficients(points: Array, values: Array) -> Array:
-    """Return coefficients (…, K) of polynomials in powers of τ.
+    """Return the coefficients (…, K) in powers of τ of the polynomials through given values, lowest power first.
 
     Args:
         points: distinct points (K,).
@@ -160,6 +163,8 @@ def power_coefficients(points: Array, values: Array) -> Array:
 def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Array:
     """Return the largest scaled error in each interval (N,), infinite if the propagation fails.
 
+    Collocation fulfils the equations at its points only, so this error decides which intervals are split.
+
     Args:
         problem: equations and limits.
         trajectory: motion with N intervals.
@@ -168,16 +173,16 @@ def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Ar
     scale = state_scale(problem.equations.dimension, problem.limits)
     tau = np.linspace(0.0, 1.0, DENSE)
     lengths = np.diff(trajectory.mesh)
-    dense = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), trajectory.states)
+    dense_states = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), trajectory.states)
     coefficients = power_coefficients(method.points, trajectory.inputs[..., 0])
     coefficients = coefficients / lengths[:, None] ** np.arange(len(method.points))
     errors = np.full(len(lengths), np.inf)
     for i, length in enumerate(lengths):
         try:
-            exact = propagator.sample(dense[i, 0], coefficients[i], tau * length)
+            propagated_states = propagator.sample(dense_states[i, 0], coefficients[i], tau * length)
         except ArithmeticError:
             continue
-        errors[i] = np.abs((exact - dense[i]) / scale).max()
+        errors[i] = np.abs((propagated_states - dense_states[i]) / scale).max()
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
@@ -205,14 +210,14 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
         above: size, in the unit of `values`, from which the extrema are computed.
     """
     tau = np.linspace(0.0, 1.0, DENSE)
-    sampled = np.abs(values @ interpolation_matrix(points, tau).T).max(1)
-    largest = float(sampled.max())
-    for i in np.flatnonzero(sampled > above):
-        curve = np.polynomial.Polynomial(power_coefficients(points, values[i]))
-        roots = curve.deriv().roots()
+    sampled_sizes = np.abs(values @ interpolation_matrix(points, tau).T).max(1)
+    largest = float(sampled_sizes.max())
+    for i in np.flatnonzero(sampled_sizes > above):
+        polynomial = np.polynomial.Polynomial(power_coefficients(points, values[i]))
+        roots = polynomial.deriv().roots()
         inside = roots.real[(abs(roots.imag) < 1e-9) & (roots.real > 0) & (roots.real < 1)]
         if inside.size:
-            largest = max(largest, float(np.abs(curve(inside)).max()))
+            largest = max(largest, float(np.abs(polynomial(inside)).max()))
     return largest
 
 
@@ -229,24 +234,29 @@ def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[
     """
     nz = problem.pendulum_dimension
     times = np.linspace(0.0, problem.duration, max(2, int(np.ceil(problem.duration / _LOOK)) + 1))
-    at = trajectory.mesh[0] + times / (problem.duration / trajectory.duration)
+    trajectory_times = trajectory.mesh[0] + times / (problem.duration / trajectory.duration)
     guess = problem.guess_at(times)
     scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
     rates = slice(nz // 2, nz)
     scale[rates] = np.maximum(scale[rates], np.abs(guess[:, rates]).max(0) / _FAST)
-    states, guess = trajectory.state(at)[:, :nz] / scale, guess / scale
+    states, guess = trajectory.state(trajectory_times)[:, :nz] / scale, guess / scale
     nearest = np.full(len(times), np.inf)
-    most = min(round(LATENESS / _LOOK), len(times) - 1)
-    for lag in range(-most, most + 1):
-        late = slice(max(0, lag), len(times) + min(0, lag))
-        early = slice(max(0, -lag), len(times) + min(0, -lag))
-        nearest[late] = np.minimum(nearest[late], np.abs(states[late] - guess[early]).max(1))
-    worst = int(nearest.argmax())
-    return float(nearest[worst]), float(at[worst])
+    most_lag = min(round(LATENESS / _LOOK), len(times) - 1)
+    for lag in range(-most_lag, most_lag + 1):
+        late_samples = slice(max(0, lag), len(times) + min(0, lag))
+        early_samples = slice(max(0, -lag), len(times) + min(0, -lag))
+        nearest[late_samples] = np.minimum(
+            nearest[late_samples], np.abs(states[late_samples] - guess[early_samples]).max(1)
+        )
+    farthest = int(nearest.argmax())
+    return float(nearest[farthest]), float(trajectory_times[farthest])
 
 
 def _limited_curves(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
-    """Return each limited quantity in an interval as places and the values (N, …) at them."""
+    """Return the cart's limited quantities along a motion by name: position, velocity, acceleration and jerk.
+
+    Each is given by places (P,) in an interval and the values (N, P) at them, in SI units.
+    """
     inputs, method = trajectory.inputs[..., 0], trajectory.method
     slopes = inputs @ differentiation_matrix(method.points).T / np.diff(trajectory.mesh)[:, None]
     return {
@@ -266,8 +276,8 @@ def where_largest(trajectory: Trajectory, name: str) -> float:
     """
     points, values = _limited_curves(trajectory)[name]
     tau = np.linspace(0.0, 1.0, DENSE)
-    sampled = np.abs(values @ interpolation_matrix(points, tau).T)
-    interval, place = np.unravel_index(int(sampled.argmax()), sampled.shape)
+    sampled_sizes = np.abs(values @ interpolation_matrix(points, tau).T)
+    interval, place = np.unravel_index(int(sampled_sizes.argmax()), sampled_sizes.shape)
     mesh = trajectory.mesh
     return float(mesh[interval] + tau[place] * (mesh[interval + 1] - mesh[interval]))
 
@@ -294,7 +304,7 @@ class LimitUse:
 
 
 def limit_uses(trajectory: Trajectory, limits: Limits) -> tuple[LimitUse, ...]:
-    """Return each limit's bound, with the largest value and its time.
+    """Return the use of each of the cart's limits by a motion: bound, largest value and its time.
 
     Args:
         trajectory: motion.
@@ -308,7 +318,7 @@ def limit_uses(trajectory: Trajectory, limits: Limits) -> tuple[LimitUse, ...]:
 
 
 def largest_values(trajectory: Trajectory, limits: Limits) -> dict[str, float]:
-    """Return the largest size of each limited quantity, with the values between nodes.
+    """Return the largest size of each of the cart's limited quantities by name, SI units, between nodes too.
 
     Args:
         trajectory: motion.

@@ -94,7 +94,7 @@ class BenchServerSettings(Settings, table="bench"):
 
 
 class BenchRecord:
-    """Record of a run of K ticks with n arms.
+    """Record of a run of K ticks with n arms, from which the log is made if another program is the loop.
 
     If the run is longer, the first K ticks are kept.
 
@@ -119,7 +119,7 @@ class BenchRecord:
         self.fault_at, self.ended = ticks, ""
 
     def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
-        """Store the reading of tick k.
+        """Store the reading of tick k, also if it was not sent.
 
         Args:
             k: tick.
@@ -133,7 +133,7 @@ class BenchRecord:
             self.truth[k] = math.nan if truth is None else truth
 
     def answered(self, k: int, command: float | None) -> None:
-        """Store the command for the reading of tick k.
+        """Store the loop's command for the reading of tick k.
 
         Args:
             k: tick.
@@ -145,17 +145,14 @@ class BenchRecord:
 
     @property
     def still_from(self) -> float:
-        """Time from which the cart stood still until the end, s.
-
-        NaN if it did not.
-        """
-        moving = np.flatnonzero(~(np.abs(self.truth[: self.ticks, -1]) <= _STILL))
-        first = int(moving[-1]) + 1 if len(moving) else 0
-        return first * self.period if first < self.ticks else math.nan
+        """Time from which the cart stood still until the end, s, for the report of an ended run; NaN if it did not."""
+        moving_ticks = np.flatnonzero(~(np.abs(self.truth[: self.ticks, -1]) <= _STILL))
+        first_still_tick = int(moving_ticks[-1]) + 1 if len(moving_ticks) else 0
+        return first_still_tick * self.period if first_still_tick < self.ticks else math.nan
 
 
 class RecordedRig:
-    """Replays a bench's record as a `Rig`.
+    """Replays a bench's record as a `Rig`, so that the Python loop can log a run of another program.
 
     It ends when its loop stopped the cart or was last heard.
 
@@ -170,6 +167,7 @@ class RecordedRig:
     def __init__(self, record: BenchRecord, program: TickProgram) -> None:
         self._record, self._program, self.period = record, program, record.period
         self._tick, self._stopped = -1, False
+        # Sensors of a reading that was not sent.
         self._nothing = np.zeros(record.positions.shape[1], dtype=bool)
         self.difference = 0.0
 
@@ -184,7 +182,7 @@ class RecordedRig:
         return self._record.fault if self._tick >= self._record.fault_at else None
 
     def read(self) -> Reading:
-        """Return the reading of the next tick.
+        """Return the recorded reading of the next tick.
 
         Raises:
             ArithmeticError: the loop no longer responded at that time.
@@ -201,7 +199,7 @@ class RecordedRig:
         return Reading(k * self.period, record.positions[k], present, int(record.switch[k]), age=age)
 
     def command(self, acceleration: float) -> None:
-        """Compare a command with the recorded one.
+        """Compare a command with the recorded one, and keep the largest difference in `difference`, m/s².
 
         The estimator then uses the recorded command.
 
@@ -212,6 +210,7 @@ class RecordedRig:
         if math.isfinite(sent):
             self.difference = max(self.difference, abs(acceleration - sent))
             memory = self._program.memory
+            # The program has already added its own command to the cart's velocity.
             memory.velocity[:] += (sent - acceleration) * self.period
             memory.sent[-1] = sent
 
@@ -221,13 +220,18 @@ class RecordedRig:
 
 
 class UdpBench(AbstractContextManager["UdpBench"]):
-    """Bench server on its own socket, as a context manager.
+    """Bench server on its own socket, as a context manager: it waits for loops and serves one run after the other.
 
     Args:
         make: returns the rig of a run, given the pending commands.
+        arms: number of arms.
+        ticks: maximum ticks of a run.
         period: control period, s.
+        host: address of this computer at which loops can reach the bench.
+        port: port, 0 for any free one.
         key: key shared with the loops.
         insecure: accept loops on other computers without a key.
+        settings: watchdog, priority and number of runs.
         recorded: maximum ticks in the record.
         report: receives messages about events.
 
@@ -253,11 +257,14 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self._make, self._arms, self._ticks, self._period, self._report = make, arms, ticks, period, report
         self._key, self._settings = key, settings or BenchServerSettings()
         self._recorded = min(ticks, ticks if recorded is None else recorded)
-        _, where = resolved(host, port, name=f"rig: --host {host}", key=key, insecure=insecure, family=socket.AF_INET)
+        _, socket_address = resolved(
+            host, port, name=f"rig: --host {host}", key=key, insecure=insecure, family=socket.AF_INET
+        )
+        # Session numbers are derived from it, so that only the addressee of a welcome can begin a run.
         self._secret = secrets.token_bytes(16)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind(where)
+            self._socket.bind(socket_address)
         except OSError as error:
             self._socket.close()
             raise InputError(
@@ -285,7 +292,7 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self._socket.close()
 
     def serve(self, *, runs: int | None = None) -> None:
-        """Serve runs in sequence.
+        """Serve runs in sequence, and answer greetings between them.
 
         Args:
             runs: number of runs; 0 to continue until interrupted (default: that of the settings).
@@ -301,26 +308,27 @@ class UdpBench(AbstractContextManager["UdpBench"]):
             served += self._served(data, sender)
 
     def _served(self, data: bytes, sender: Any) -> bool:
-        """Handle a packet between runs.
+        """Handle a packet that comes between runs, and serve the run if it is a START.
 
-        Return True if it led to a run that has ended.
+        Return True if the packet led to a run that has ended, or the loop declined the bench. `sender` is the socket
+        address of the packet's sender.
         """
         # The session that this sender may begin is not stored, so nobody can lock out others, and a forged sender does
         # not receive it.
         session = int.from_bytes(hmac.digest(self._secret, repr(sender).encode(), "sha256")[:8])
-        heard = self._greeted(data, sender, Welcome(self._arms, self._period, self._ticks, session))
-        if heard is None or heard.session != session:
+        packet = self._greeted(data, sender, Welcome(self._arms, self._period, self._ticks, session))
+        if packet is None or packet.session != session:
             return False
-        if not isinstance(heard.content, Start):
+        if not isinstance(packet.content, Start):
             # The loop found that the bench is not suitable.
-            return isinstance(heard.content, Bye)
-        if not all(map(math.isfinite, heard.content.queued)):
-            self._answer(heard, Bye("the run was rejected: a pending command is not a finite number"), sender)
+            return isinstance(packet.content, Bye)
+        if not all(map(math.isfinite, packet.content.queued)):
+            self._answer(packet, Bye("the run was rejected: a pending command is not a finite number"), sender)
             return False
         self._report(f"run started for {sender[0]}:{sender[1]}")
         # Packets of this run cannot begin another one.
         self._secret = secrets.token_bytes(16)
-        rig = self._make(heard.content.queued)
+        rig = self._make(packet.content.queued)
         self.record = BenchRecord(self._recorded, self._arms, self._period)
         with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
             talk = Talk(Role.BENCH, session, key=self._key)
@@ -329,32 +337,44 @@ class UdpBench(AbstractContextManager["UdpBench"]):
                 self._socket, sender, rig, talk, ticks=self._ticks, settings=self._settings, others=self._greeted,
                 record=self.record,
             )  # fmt: skip
-            ended = run.go()
-        self.record.ended = self.record.ended or ended
-        self._report(f"run ended: {ended}; {run.sentence}")
+            ending = run.go()
+        self.record.ended = self.record.ended or ending
+        self._report(f"run ended: {ending}; {run.sentence}")
         return True
 
     def _greeted(self, data: bytes, sender: Any, answer: Message) -> ReceivedPacket | None:
-        """Return the packet, or None if it is not valid; a HELLO is answered."""
+        """Return the unpacked packet of a loop, or None if it is not valid, and answer a HELLO with `answer`.
+
+        During a run, the answer to another loop is that the bench is busy.
+        """
         try:
-            heard = unpacked(data, Role.LOOP, key=self._key)
+            packet = unpacked(data, Role.LOOP, key=self._key)
         except ValueError:
             return None
-        if heard.content is Kind.HELLO:
-            self._answer(heard, answer, sender)
-        return heard
+        if packet.content is Kind.HELLO:
+            self._answer(packet, answer, sender)
+        return packet
 
     def _answer(self, heard: ReceivedPacket, message: Message, sender: Any) -> None:
+        """Send a message to the sender of a packet, with that packet's session; it is lost if the system refuses it.
+
+        `heard` is that packet.
+        """
         data = packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
         with suppress(OSError):
             self._socket.sendto(data, sender)
 
 
 class _BenchRun:
-    """One run of the bench for one loop.
+    """One run of the bench for one loop: it reads the rig at each tick, sends readings and applies commands.
 
     Args:
         sock: socket of the bench.
+        client: socket address of the loop; packets from others do not act on the run.
+        rig: the simulated rig.
+        talk: the run's end of the session, which packs and checks packets.
+        ticks: length of the run.
+        settings: watchdog and priority.
         others: receives packets of other senders, and the answer to their HELLO.
         record: filled during the run.
     """
@@ -366,35 +386,44 @@ class _BenchRun:
         self._socket, self._client, self._rig, self._talk, self._settings = sock, client, rig, talk, settings
         self._others, self._record = others, record
         self._ticks, self._tick = ticks, -1
+        # Newest tick with a command, periods in which an old command was repeated, and whether a command came since the
+        # last tick.
         self._heard, self._held, self._fresh = -1, 0, True
+        # Ticks since the loop's last packet, whether the cart is braked, the loop's farewell or "", and rejected
+        # packets.
         self._silent, self._stopped, self._over, self._ignored = 0, False, "", 0
+        # Condition of the bench and its text, which all readings carry.
         self._condition, self._text = Condition.WELL, ""
 
     @property
     def sentence(self) -> str:
-        """Summary of ticks and packets."""
+        """Summary of ticks and packets for the report of the run's end."""
         return (
             f"{self._tick + 1} ticks; a command was repeated {self._held} times; {self._ignored} packets were rejected"
         )
 
     def go(self) -> str:
-        """Run until the loop says goodbye or disconnects; return the cause."""
+        """Run tick by tick until the loop says goodbye or disconnects, or all ticks are done.
+
+        Return the cause of the end as a text.
+        """
         period, watchdog, clock = self._rig.period, self._settings.watchdog, time.perf_counter
-        begin = clock()
+        start = clock()
         for k in range(self._ticks):
-            due = begin + k * period
+            due = start + k * period
             self._wait(due)
             if self._over:
                 return self._over
+            # Only ticks that the bench itself kept count as silence of the loop.
             self._silent += clock() - due <= period
             self._held += k > 0 and not self._fresh and not self._stopped
             self._fresh = False
             if self._silent * period > _LEAVING:
                 return "the loop has disconnected"
             if self._silent * period > watchdog and not self._stopped:
-                silent = f"received nothing from the loop for {watchdog:g} s until t = {k * period:.3f} s"
-                self._record.ended = f"the bench {silent}"
-                self._stop(Condition.SILENCE, f"it {silent}")
+                silence = f"received nothing from the loop for {watchdog:g} s until t = {k * period:.3f} s"
+                self._record.ended = f"the bench {silence}"
+                self._stop(Condition.SILENCE, f"it {silence}")
             try:
                 reading = self._rig.read()
             except ArithmeticError as failure:
@@ -402,14 +431,14 @@ class _BenchRun:
                 return str(failure)
             fault = self._rig.fault
             if fault is not None and self._condition is Condition.WELL:
-                hit = fault.cause == Cause.HARD_STOP
-                self._condition, self._text = Condition.HARD_STOP if hit else Condition.FAULT, fault.text
+                at_hard_stop = fault.cause == Cause.HARD_STOP
+                self._condition, self._text = Condition.HARD_STOP if at_hard_stop else Condition.FAULT, fault.text
                 self._record.fault, self._record.fault_at = fault, k
             self._tick = k
             # A tick without any reading sends none, so the loop counts it as lost.
-            sends = reading.present is None or bool(reading.present.any())
-            self._record.read(k, reading, self._rig.truth, sent=sends)
-            if sends:
+            is_sent = reading.present is None or bool(reading.present.any())
+            self._record.read(k, reading, self._rig.truth, sent=is_sent)
+            if is_sent:
                 content = ReadingPacket(
                     k, tuple(reading.positions.tolist()), self._heard, self._held, 0.0, reading.switch,
                     self._condition, self._text, self._ignored, reading.age,
@@ -420,9 +449,9 @@ class _BenchRun:
         return text
 
     def _wait(self, due: float) -> None:
-        """Wait until `due` and handle packets."""
-        while (left := due - time.perf_counter()) > 0:
-            if select.select([self._socket], [], [], left)[0]:
+        """Handle packets as they come until the time `due` of the next tick, s on the clock `perf_counter`."""
+        while (remaining := due - time.perf_counter()) > 0:
+            if select.select([self._socket], [], [], remaining)[0]:
                 self._handle_packets()
         self._handle_packets()
 
@@ -441,25 +470,25 @@ class _BenchRun:
                 self._others(data, sender, Bye("the bench is busy with another loop; wait until it has ended"))
 
     def _receive(self, data: bytes) -> None:
-        """Handle a packet from the loop's address."""
+        """Handle a packet from the loop's address: a command, a STOP or a BYE. Each ends the loop's silence."""
         try:
-            heard = self._talk.unpack(data)
+            packet = self._talk.unpack(data)
         except ValueError:
             self._ignored += 1
             return
         self._silent = 0
-        if isinstance(heard.content, CommandPacket):
-            self._apply(heard.content)
-        elif heard.content is Kind.STOP:
+        if isinstance(packet.content, CommandPacket):
+            self._apply(packet.content)
+        elif packet.content is Kind.STOP:
             if not self._stopped:
                 self._record.answered(max(self._tick, 0), None)
             self._stop(self._condition, self._text)
-        elif isinstance(heard.content, Bye):
-            self._over = heard.content.text
+        elif isinstance(packet.content, Bye):
+            self._over = packet.content.text
             self._rig.stop()
 
     def _apply(self, content: CommandPacket) -> None:
-        """Apply a command unless it is outdated.
+        """Apply the loop's command to the rig unless it is outdated.
 
         A command is outdated if a newer one has come. Its tick must not be in the future.
         """
@@ -473,10 +502,12 @@ class _BenchRun:
             self._rig.command(content.acceleration)
 
     def _stop(self, condition: Condition, text: str) -> None:
+        """Brake the cart, and report the condition and its text in all later readings."""
         self._condition, self._text, self._stopped = condition, text, True
         self._rig.stop()
 
     def _send(self, message: Message) -> None:
+        """Send a message to the loop."""
         # A packet that cannot be sent counts as lost; the loop notices.
         with suppress(OSError):
             self._socket.sendto(self._talk.pack(message), self._client)
@@ -506,7 +537,7 @@ _PRACTICE_ZEROS = (0.03, -0.02)
 
 
 def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
-    """Return faults for practice.
+    """Return the names of wiring faults that the example bench simulates for practice, after a check.
 
     Args:
         faults: names of faults, see `FAULTS`.
@@ -516,16 +547,21 @@ def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
         InputError: an unknown fault, or one of an arm that does not exist.
     """
     check_choice("fault", FAULTS, *faults)
-    of_two = [name for name in faults if "-2-" in name or name in ("encoders-swapped", "angles-not-summed")]
-    if arms < 2 and of_two:
-        raise InputError(f"--fault {of_two[0]}: requires at least two arms, and the model has {arms}; choose another")
+    two_arm_faults = [name for name in faults if "-2-" in name or name in ("encoders-swapped", "angles-not-summed")]
+    if arms < 2 and two_arm_faults:
+        raise InputError(
+            f"--fault {two_arm_faults[0]}: requires at least two arms, and the model has {arms}; choose another"
+        )
     return tuple(faults)
 
 
 class FaultyRig:
-    """A rig with wiring faults, for practice.
+    """A rig with wiring faults, with which users practise commissioning.
 
-    Zeros (n,) rad are the readings of its hanging arms.
+    Args:
+        rig: the simulated rig without faults.
+        faults: names from `FAULTS`.
+        zeros: readings (n,) of its hanging arms, rad.
     """
 
     truth: None = None
@@ -558,7 +594,7 @@ class FaultyRig:
         )  # fmt: skip
 
     def command(self, acceleration: float) -> None:
-        """Accelerate the cart.
+        """Accelerate the cart, to the other side if the drive is reversed.
 
         Args:
             acceleration: demanded acceleration of the cart, m/s².
@@ -575,7 +611,7 @@ _FACTORS = (("encoder-1-reversed", 0, -1.0), ("encoder-2-reversed", 1, -1.0), ("
 
 @dataclass(frozen=True, eq=False)
 class BenchRecipe(Brief):
-    """Recipe of a simulated bench, which is built for each run."""
+    """Recipe of a simulated bench, which is built for each run in the bench's process."""
 
     parameters: ArmChainParameters
     settings: LoopSettings
@@ -603,7 +639,7 @@ class BenchRecipe(Brief):
         return 1 / self.settings.rate
 
     def rig(self, queued: Sequence[float]) -> Rig:
-        """Return a bench at its start.
+        """Return a bench at its start, with the disturbances that the settings draw.
 
         Args:
             queued: pending commands, oldest first, m/s².
@@ -615,7 +651,7 @@ class BenchRecipe(Brief):
         return FaultyRig(rig, faults=self.faults, zeros=self.zeros) if self.faults or any(self.zeros) else rig
 
     def rehearse(self) -> None:
-        """Compile and load everything before the first run."""
+        """Run a few ticks, so that everything is compiled and loaded before the first run in real time."""
         rig = self.rig(())
         for _ in range(min(self.ticks, 100)):
             rig.read()
@@ -623,7 +659,10 @@ class BenchRecipe(Brief):
 
 
 def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe: Connection) -> None:
-    """Serve one run in a process of its own, and send the address and the record to its parent."""
+    """Serve one run in its own process, and send address and record to its parent through the pipe.
+
+    `key` is the key that the loop must have.
+    """
     # An interrupt from the terminal is meant for the loop, which stops the cart first.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
@@ -639,9 +678,7 @@ def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe:
 
 
 class BenchProcess(AbstractContextManager["BenchProcess"]):
-    """Server process for one run on loopback, as a context manager.
-
-    It serves the recipe's bench.
+    """Server process of the recipe's bench for one run on loopback, as a context manager.
 
     The process has a random key, so no other program on this computer can take over the run.
 
@@ -651,14 +688,14 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
 
     def __init__(self, recipe: BenchRecipe, settings: BenchServerSettings | None = None) -> None:
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe(duplex=False)
+        self._pipe, child_pipe = context.Pipe(duplex=False)
         # As text, so that an environment variable can carry it.
         self.key = secrets.token_hex(32).encode()
         self._process = context.Process(
-            target=_serve, args=(recipe, settings or BenchServerSettings(), self.key, theirs), daemon=True
+            target=_serve, args=(recipe, settings or BenchServerSettings(), self.key, child_pipe), daemon=True
         )
         self._process.start()
-        theirs.close()
+        child_pipe.close()
         self.address: tuple[str, int] = ("", 0)
         with suppress(EOFError):
             if self._pipe.poll(_START):
@@ -673,9 +710,7 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
         self._end()
 
     def controlled_by(self, program: Path, *arguments: str) -> Deadlines | None:
-        """Let a program control the run, and return its deadlines.
-
-        The deadlines are those that it reports.
+        """Let a program control the run, and return the deadlines that it reports, or None if it reports none.
 
         The program is called with the bench's address and the arguments. Its environment contains the key. It may print
         its deadlines on stdout as a line of JSON. An interrupt ends it.
@@ -691,7 +726,7 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
         name, command = f"--controller-program {program}", [str(program.absolute()), f"udp://{host}:{port}", *arguments]
         environment = {**os.environ, KEY_VARIABLE: self.key.decode()}
         try:
-            ended = subprocess.run(
+            completed = subprocess.run(
                 command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
                 check=False,
             )  # fmt: skip
@@ -702,14 +737,15 @@ class BenchProcess(AbstractContextManager["BenchProcess"]):
             with suppress(EOFError):
                 self.record = self._pipe.recv() if self._pipe.poll(_END) else None
         if self.record is None:
-            why = ended.stderr.strip().splitlines()[-1:] or ["it printed nothing"]
-            raise InputError(f"{name} ended with {ended.returncode} before a run began: {why[0]}")
+            last_error = completed.stderr.strip().splitlines()[-1:] or ["it printed nothing"]
+            raise InputError(f"{name} ended with {completed.returncode} before a run began: {last_error[0]}")
         try:
-            return Deadlines(**json.loads(ended.stdout))
+            return Deadlines(**json.loads(completed.stdout))
         except (TypeError, ValueError):
             return None
 
     def _end(self) -> None:
+        """End the server process, also one that hangs, and close the pipe."""
         self._process.terminate()
         self._process.join(_END)
         self._pipe.close()

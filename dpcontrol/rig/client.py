@@ -54,18 +54,18 @@ def without_collecting() -> Iterator[None]:
 
     A collection takes many milliseconds, and seconds in a large program. So there is none before the block either.
     """
-    was = gc.isenabled()
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if was:
+        if was_enabled:
             gc.enable()
 
 
 @contextmanager
 def real_time_priority() -> Iterator[bool]:
-    """Run with real-time priority (SCHED_FIFO) in the block.
+    """Run with real-time priority (SCHED_FIFO) in the block, so that other programs do not delay ticks.
 
     Yield whether the system allowed it.
 
@@ -85,7 +85,7 @@ def real_time_priority() -> Iterator[bool]:
 
 @dataclass(frozen=True)
 class Deadlines:
-    """Ticks and packets of a run in real time."""
+    """Ticks and packets of a run in real time, by which users judge whether computer and network are fast enough."""
 
     ticks: int
     """Ticks of the run, each with a command that was sent."""
@@ -120,7 +120,7 @@ class Deadlines:
         Args:
             record: metadata of the log.
         """
-        texts = {one.name: record.get(f"deadlines_{one.name}", "") for one in fields(cls)}
+        texts = {entry.name: record.get(f"deadlines_{entry.name}", "") for entry in fields(cls)}
         return cls(**{name: json.loads(text) for name, text in texts.items()}) if all(texts.values()) else None
 
 
@@ -152,7 +152,7 @@ class LinkSettings(Settings, table="link"):
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Return host and port of `udp://HOST:PORT`.
+    """Return host and port of a bench's address `udp://HOST:PORT`.
 
     Args:
         text: address of a bench.
@@ -160,10 +160,10 @@ def parse_address(text: str) -> tuple[str, int]:
     Raises:
         InputError: the text has another form.
     """
-    found = re.fullmatch(rf"{SCHEME}://\[?([^/\[\]]+)\]?:(\d+)/?", text)
-    if found is None or not 0 < int(found[2]) < 1 << 16:
+    match = re.fullmatch(rf"{SCHEME}://\[?([^/\[\]]+)\]?:(\d+)/?", text)
+    if match is None or not 0 < int(match[2]) < 1 << 16:
         raise InputError(f"rig {text!r}: must be udp://HOST:PORT as `dpcontrol rig` prints it, serial://PORT, or udp")
-    return found[1], int(found[2])
+    return match[1], int(match[2])
 
 
 class PacketRig(AbstractContextManager["PacketRig"]):
@@ -176,6 +176,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         address: address of the bench, for messages.
         queued: pending commands at the start, oldest first, m/s².
         zeros: readings (n,) of its hanging arms, which are subtracted, rad.
+        settings: time limits.
         key: key shared with the bench.
 
     Raises:
@@ -198,10 +199,14 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         self._settings, self._queued = settings or LinkSettings(), queued
         self.fault: Event | None = None
         self.address, self._channel = address, channel
+        # A reading that came before its tick, which its tick uses.
         self._early: ReadingPacket | None = None
+        # The present tick, and the time of tick 0 on this computer's clock, s.
         self._tick, self._begin = -1, math.inf
+        # The last error of the channel or of a packet explains why a bench does not respond.
         self._stopped, self._problem = False, ""
         self._worst = 0.0
+        # Figures of `Deadlines`. The bench counts the first and the fourth; refused packets are those at this end.
         self._held = self._missed = self._lost = self._ignored = self._refused = 0
         # An unpredictable number shows that an answer belongs to this HELLO.
         self._request = secrets.token_bytes(8)
@@ -215,10 +220,11 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         self._refused = 0
         self.period = self.welcome.period
         self._last_packet = time.perf_counter()
+        # Sensors of a tick without a reading, and the last positions, which such a tick repeats.
         self._nothing = np.zeros(self.welcome.arms + 1, dtype=bool)
         self._positions = np.zeros(self.welcome.arms + 1)
-        known = zeros[: self.welcome.arms]
-        self._zeros = np.array([*known, *[0.0] * (self.welcome.arms + 1 - len(known))])
+        arm_zeros = zeros[: self.welcome.arms]
+        self._zeros = np.array([*arm_zeros, *[0.0] * (self.welcome.arms + 1 - len(arm_zeros))])
 
     def __exit__(self, *_: object) -> None:
         self.stop()
@@ -227,7 +233,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
 
     @property
     def deadlines(self) -> Deadlines:
-        """Return the statistics so far."""
+        """The statistics of ticks and packets so far."""
         rejected = self._ignored + self._refused
         return Deadlines(self._tick + 1, self._missed, self._worst, self._lost, self._held, rejected)
 
@@ -264,7 +270,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         return Reading(k * period, self._positions, None if finite.all() else finite, packet.switch, late, age)
 
     def command(self, acceleration: float) -> None:
-        """Accelerate the cart.
+        """Send a command that accelerates the cart.
 
         Args:
             acceleration: demanded acceleration, m/s², positive to the right.
@@ -286,26 +292,33 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         self._send(Kind.STOP)
 
     def _introduced(self) -> Welcome:
-        """Return the bench's welcome."""
-        content = self._answer(Kind.HELLO, Welcome)
-        if content is None:
+        """Exchange HELLO and WELCOME with the bench, and return its welcome.
+
+        Raises:
+            InputError: no answer in time, a refusal, or an impossible period.
+        """
+        answer = self._answer(Kind.HELLO, Welcome)
+        if answer is None:
             raise InputError(
                 f"rig {self.address}: no bench responded for {self._settings.answer:g} s{self._problem}; start one "
                 "with `dpcontrol rig` of this version, and give both the same key, if any"
             )
-        if isinstance(content, Bye):
-            raise InputError(f"rig {self.address}: {content.text}")
-        if not 0 < content.period <= _LONGEST_PERIOD:
+        if isinstance(answer, Bye):
+            raise InputError(f"rig {self.address}: {answer.text}")
+        if not 0 < answer.period <= _LONGEST_PERIOD:
             raise InputError(
-                f"rig {self.address} announces a period of {content.period:g} s: it must be above 0 and "
+                f"rig {self.address} announces a period of {answer.period:g} s: it must be above 0 and "
                 f"at most {_LONGEST_PERIOD:g} s; fix the bench"
             )
-        return content
+        return answer
 
     def _answer(self, message: Message, kind: type[T]) -> T | Bye | None:
-        """Repeat a message until an answer of this kind or BYE comes; return it, or None if the time is over."""
-        until = time.perf_counter() + self._settings.answer
-        while time.perf_counter() < until:
+        """Repeat a message until an answer of this kind or a BYE comes, and return it, or None if the time is over.
+
+        The first packets of a session may be lost, and the bench may still be starting.
+        """
+        time_limit = time.perf_counter() + self._settings.answer
+        while time.perf_counter() < time_limit:
             self._send(message)
             for content in self._arrivals(time.perf_counter() + _REQUEST_INTERVAL):
                 if isinstance(content, (kind, Bye)):
@@ -313,18 +326,26 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         return None
 
     def _packet_of(self, k: int) -> ReadingPacket | None:
-        """Return the reading of tick k, or None if it is lost or overdue."""
-        early, self._early = self._early, None
+        """Return the reading of tick k, or None if it is lost or overdue, in which case the tick has no sensors.
+
+        A reading of a later tick is stored until its tick, since the one of tick k cannot come after it. Tick 0 starts
+        the run.
+        """
+        packet, self._early = self._early, None
         if k == 0:
-            early = self._taken(self._answer(Start(tuple(self._queued)), ReadingPacket) or self._lost_contact())
-        elif early is None:
-            early = self._awaited(k)
-        if early is not None and early.tick > k:
-            self._early, early = early, None
-        return early
+            packet = self._taken(self._answer(Start(tuple(self._queued)), ReadingPacket) or self._lost_contact())
+        elif packet is None:
+            packet = self._awaited(k)
+        if packet is not None and packet.tick > k:
+            self._early, packet = packet, None
+        return packet
 
     def _awaited(self, k: int) -> ReadingPacket | None:
-        """Return the first reading of tick k or a later one, or None if none comes in time."""
+        """Return the first reading of tick k or a later one that comes in time, else None.
+
+        Raises:
+            ArithmeticError: the bench has been silent for too long.
+        """
         for content in self._arrivals(self._begin + k * self.period + self._settings.patience):
             packet = self._taken(content)
             if packet is not None and packet.tick >= k:
@@ -334,25 +355,33 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         return None
 
     def _taken(self, content: Message) -> ReadingPacket | None:
-        """Return the reading in a packet, from whose arrival the ticks are counted."""
+        """Return the reading in a packet, or None if it has none, and date the begin of the run by its arrival.
+
+        Raises:
+            ArithmeticError: the bench ended the run.
+        """
         if isinstance(content, Bye):
             raise ArithmeticError(f"the bench ended the run: {content.text}")
         if not isinstance(content, ReadingPacket):
             return None
-        self._last_packet = now = time.perf_counter()
+        # The bench counts as lost if this time is too long ago.
+        self._last_packet = arrival = time.perf_counter()
         # The earliest arrival of any reading on the bench's clock, which may run slightly slower.
-        self._begin = min(self._begin + _DRIFT * self.period, now - content.tick * self.period)
+        self._begin = min(self._begin + _DRIFT * self.period, arrival - content.tick * self.period)
         return content
 
     def _lost_contact(self) -> NoReturn:
-        """Report that the bench no longer responds."""
+        """Raise ArithmeticError, since the bench no longer responds."""
         raise ArithmeticError(
             f"the bench at {self.address} does not respond: received nothing from it for "
             f"{time.perf_counter() - self._last_packet:.3g} s{self._problem}"
         )
 
     def _arrivals(self, until: float) -> Iterator[Message]:
-        """Yield the contents of valid packets that wait already or arrive until a time, s."""
+        """Yield the messages of valid packets that wait already or arrive until a time, s on the clock `perf_counter`.
+
+        An error of the channel is kept for the report of a lost bench.
+        """
         try:
             for _ in range(_MOST_PACKETS):
                 try:
@@ -366,9 +395,9 @@ class PacketRig(AbstractContextManager["PacketRig"]):
             time.sleep(max(min(until - time.perf_counter(), _REQUEST_INTERVAL), 0.0))
 
     def _accepted(self, data: bytes) -> Iterator[Message]:
-        """Yield the content of a valid, new packet of this run's bench.
+        """Yield the message in the packet `data` if it is valid, new and of this run's bench.
 
-        Others are counted.
+        Other packets are counted as refused.
         """
         try:
             content, welcome = self._talk.unpack(data).content, self.welcome
@@ -386,7 +415,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
             yield content
 
     def _send(self, message: Message) -> None:
-        """Send a message; it is lost if the system refuses it."""
+        """Send a message to the bench; it is lost if the system refuses it."""
         try:
             self._channel.send(self._talk.pack(message))
         except OSError as error:
@@ -395,7 +424,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
 
 
 class UdpRig(PacketRig):
-    """A bench over UDP.
+    """A bench over UDP as a `Rig` and context manager.
 
     Args:
         address: host and port of the bench.
@@ -409,10 +438,10 @@ class UdpRig(PacketRig):
 
     def __init__(self, address: tuple[str, int], *, key: bytes = b"", insecure: bool = False, **settings: Any) -> None:
         name = f"{SCHEME}://{address[0]}:{address[1]}"
-        family, where = resolved(*address, name=f"rig {name}", key=key, insecure=insecure)
+        family, socket_address = resolved(*address, name=f"rig {name}", key=key, insecure=insecure)
         try:
             channel = socket.socket(family, socket.SOCK_DGRAM)
-            channel.connect(where)
+            channel.connect(socket_address)
         except OSError as error:
             raise InputError(f"rig {name}: {error.strerror or error}; check the address") from error
         # Packets that arrive during a stall should wait there.

@@ -79,7 +79,7 @@ _DETUNING, _FASTER, _LEAST_DAMPING = 0.05, 5.0, 0.01
 
 
 class Grade(StrEnum):
-    """Grade of a finding."""
+    """Grade of a finding, by which commissioning passes or fails."""
 
     OK = "ok"
     WRONG = "wrong"
@@ -96,7 +96,14 @@ _GRADES = {
 
 @dataclass(frozen=True)
 class Finding:
-    """Finding of one step: its cause, numbers by name, and measured values for keys of [run]."""
+    """Finding of one step of the commissioning.
+
+    Attributes:
+        step: name of the step, such as "drive" or "encoders".
+        cause: what was found.
+        figures: numbers by name, from which the sentence is made.
+        changes: measured values for keys of [run].
+    """
 
     step: str
     cause: Cause
@@ -105,7 +112,7 @@ class Finding:
 
     @property
     def verdict(self) -> Grade:
-        """Whether the step requires a change before a run."""
+        """The grade: whether the step requires a change before a run."""
         return _GRADES.get(self.cause, Grade.WRONG)
 
     @property
@@ -146,7 +153,7 @@ class Commissioning(Documented):
 
     @property
     def blocking(self) -> tuple[Finding, ...]:
-        """Faults of the rig itself, which invalidate the measurements."""
+        """Faults of the rig itself, which invalidate the measurements, so that no value is proposed."""
         # The scene's [run] can fix what differs from it.
         return tuple(f for f in self.wrong if f.cause is not Cause.DIFFERS)
 
@@ -157,11 +164,15 @@ class Commissioning(Documented):
 
     @property
     def missed(self) -> str:
-        """The number of findings that must still be fixed, and the first of them, or ""."""
-        left = self.wrong if self.written is None else self.blocking
+        """The number of findings that must still be fixed, and the first of them, as a sentence, or ""."""
+        remaining = self.wrong if self.written is None else self.blocking
         if self.changes and self.unwritten:
             return self.unwritten
-        return f"{len(left)} of {len(self.findings)} findings must be fixed; first: {left[0].sentence}" if left else ""
+        return (
+            f"{len(remaining)} of {len(self.findings)} findings must be fixed; first: {remaining[0].sentence}"
+            if remaining
+            else ""
+        )
 
     @property
     def right(self) -> bool:
@@ -231,12 +242,15 @@ def commission(
 
 
 def _judged(session: RigSession, settings: LoopSettings, zeros: tuple[float, ...]) -> list[Finding]:
-    """Return the findings of the motion."""
-    arms, period, since = session.arms, session.period, session.held_from
+    """Return the findings of drive, wiring, play, friction and model from the recorded motion.
+
+    `zeros` (n,) rad are those of the settings at present.
+    """
+    arms, period, held_from = session.arms, session.period, session.held_from
     readings = session.filled()[: session.rang_to + 1]
     angles, carts = readings[:, :-1], readings[:, -1]
     drive = fit_drive(carts, session.commands, period, first=session.chirped_from, last=session.chirped_to)
-    swing = fit_swing(angles[since:], carts[since:], period, arms)
+    swing = fit_swing(angles[held_from:], carts[held_from:], period, arms)
     wiring = read_wiring(swing, session.encoders)
     signs = _signs(drive.gain, np.where(wiring.unknown | ~session.encoders, 0.0, wiring.factors))
     return [
@@ -245,38 +259,42 @@ def _judged(session: RigSession, settings: LoopSettings, zeros: tuple[float, ...
         _lateness(drive, settings, period),
         *_encoders(wiring, swing, signs, drive.gain),
         _counts(session, wiring, drive.gain, settings),
-        _play(angles[since:], period, wiring, settings),
+        _play(angles[held_from:], period, wiring, settings),
         _friction(swing, arms, settings),
         _model(swing, wiring, arms),
     ]
 
 
 def _first(holds: Mapping[Cause, Any]) -> Cause:
-    """Return the first cause that holds."""
+    """Return the first cause whose condition holds, in the order of the mapping."""
     return next(cause for cause, value in holds.items() if value)
 
 
 def _signs(gain: float, factors: Array) -> list[tuple[str, ...]]:
     """Return the fewest reversals of drive, cart's scale and arms' encoders that explain the signs.
 
-    There are two solutions if the rig and its mirror image need equally many.
+    `gain` is that of the drive, and `factors` (n,) are those of the encoders, 0 if unknown. There are two solutions if
+    the rig and its mirror image need equally many reversals. Each is a tuple of names, such as "drive" or "arm 1".
     """
-    seen = {"cart": 1.0, "drive": gain}
-    seen |= {f"arm {k + 1}": float(factor) for k, factor in enumerate(factors) if abs(factor) > STUCK}
-    answers = [tuple(name for name, value in seen.items() if value * cart < 0) for cart in (1, -1)]
-    return [answer for answer in answers if len(answer) == min(map(len, answers))]
+    measured = {"cart": 1.0, "drive": gain}
+    measured |= {f"arm {k + 1}": float(factor) for k, factor in enumerate(factors) if abs(factor) > STUCK}
+    explanations = [tuple(name for name, value in measured.items() if value * cart < 0) for cart in (1, -1)]
+    return [answer for answer in explanations if len(answer) == min(map(len, explanations))]
 
 
 def _cart_scale(gain: float, factors: Array) -> bool:
-    """True if the cart's scale alone explains the errors.
+    """True if a wrong factor of the cart's scale alone explains the drive's gain and the factors (n,) of the encoders.
 
-    They are the errors of the drive's gain and of all arms' swings.
+    The arms' swings then look too large or too small by the inverse of the gain.
     """
     return abs(abs(gain) - 1) > _GAIN and bool(np.all(np.abs(np.abs(factors * gain) - 1) < FACTOR / 2))
 
 
 def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) -> Finding:
-    """Judge direction and gain of the drive and of the cart's scale."""
+    """Judge direction and gain of the drive and of the cart's scale, with the reversals of `_signs` as figures.
+
+    `signs` are these reversals, and `wiring` is that of the encoders.
+    """
     gain, factors = drive.gain, wiring.factors
     cause = _first(
         {
@@ -296,30 +314,34 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
 def _scales(wiring: Wiring, gain: float) -> Array:
     """Return the likely factor (n,) of each encoder, 1 without a fault, NaN if friction hides it.
 
-    A measured factor is as accurate as the model.
+    A measured factor is as accurate as the model, so a value near a likely mistake, such as 4 for the decoding of
+    quadrature, counts as that mistake. `gain` is that of the drive.
     """
-    sizes = np.maximum(np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0)), STUCK)
-    nearest = _LIKELY[np.argmin(np.abs(np.log(_LIKELY / sizes[:, None])), axis=1)]
-    likely = np.where(np.abs(sizes / nearest - 1) <= FACTOR, nearest, sizes)
-    doubtful = (likely != 1) & (np.abs(sizes - 1) < FACTOR + 3 * wiring.errors)
+    measured = np.maximum(np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0)), STUCK)
+    nearest_likely = _LIKELY[np.argmin(np.abs(np.log(_LIKELY / measured[:, None])), axis=1)]
+    likely = np.where(np.abs(measured / nearest_likely - 1) <= FACTOR, nearest_likely, measured)
+    doubtful = (likely != 1) & (np.abs(measured - 1) < FACTOR + 3 * wiring.errors)
     return np.where(np.isnan(wiring.errors), 1.0, np.where(wiring.unknown | doubtful, np.nan, likely))
 
 
 def _lateness(drive: DriveFit, settings: LoopSettings, period: float) -> Finding:
-    """Compare delay and lag with those in [run]."""
-    delay, lag, said = max(drive.delay / period, 0.0), drive.lag, settings.drive
+    """Compare the measured delay, in periods, and the lag, s, of the drive with those in [run].
+
+    `period` is the control period, s.
+    """
+    delay, lag, configured = max(drive.delay / period, 0.0), drive.lag, settings.drive
     errors = drive.errors[0] / period, drive.errors[1]
-    close = abs(delay - said.delay) <= max(0.1, 3 * errors[0])
-    close = close and abs(lag - said.lag) <= max(5e-4, 3 * errors[1], 0.1 * said.lag)
-    cause = _first({Cause.UNKNOWN: drive.misfit > _LEFT_OVER, Cause.RIGHT: close, Cause.DIFFERS: True})
+    agrees = abs(delay - configured.delay) <= max(0.1, 3 * errors[0])
+    agrees = agrees and abs(lag - configured.lag) <= max(5e-4, 3 * errors[1], 0.1 * configured.lag)
+    cause = _first({Cause.UNKNOWN: drive.misfit > _LEFT_OVER, Cause.RIGHT: agrees, Cause.DIFFERS: True})
     figures = {
         "delay": delay,
         "delay_error": errors[0],
         "lag": lag,
         "lag_error": errors[1],
         "misfit": drive.misfit,
-        "said_delay": said.delay,
-        "said_lag": said.lag,
+        "said_delay": configured.delay,
+        "said_lag": configured.lag,
     }
     # One for the simulated bench, one for the controller.
     changes = {"delay": round(delay, 3), "lag": round(lag, 5), "drive_lag": round(lag, 5)}
@@ -327,34 +349,40 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float) -> Finding
 
 
 def _zeros(swing: CommissioningSwing, wiring: Wiring, zeros: tuple[float, ...], settings: LoopSettings) -> Finding:
-    """Judge the readings of hanging arms."""
-    off, errors = swing.zeros
-    allowed = max(_ZERO, 1.5 * max(settings.sensors.steps(len(off))))
+    """Judge the readings (n,) of hanging arms, rad, and propose zeros for [run].
+
+    `zeros` are the present ones, which are already subtracted from the readings.
+    """
+    readings, errors = swing.zeros
+    tolerance = max(_ZERO, 1.5 * max(settings.sensors.steps(len(readings))))
     # An arm that hangs on a joint which friction holds can rest beside its zero.
-    known = ~np.logical_or.accumulate(np.isinf(wiring.errors))
-    large, wrong = np.abs(off) > allowed, known & (np.abs(off) > np.maximum(allowed, 3 * errors))
+    judged = ~np.logical_or.accumulate(np.isinf(wiring.errors))
+    is_large, is_wrong = np.abs(readings) > tolerance, judged & (np.abs(readings) > np.maximum(tolerance, 3 * errors))
     cause = _first(
         {
             Cause.UNKNOWN: wiring.stuck.any(),
-            Cause.FAR: np.abs(off).max() > _FAR,
-            Cause.DIFFERS: wrong.any(),
-            Cause.HIDDEN: large.any() or not known.all(),
+            Cause.FAR: np.abs(readings).max() > _FAR,
+            Cause.DIFFERS: is_wrong.any(),
+            Cause.HIDDEN: is_large.any() or not judged.all(),
             Cause.RIGHT: True,
         }
     )
     encoders = ~np.isnan(wiring.errors)
-    shown = off[encoders]
-    tilted = bool(len(shown) > 1 and np.ptp(shown) < allowed)
-    figures = {"zeros": shown.tolist(), "zero_errors": errors[encoders].tolist(), "tilted": tilted}
-    before = np.array(zeros or [0.0] * len(off))
-    values = np.where(known & (wrong | ~large), before + off, before)
-    kept = cause is Cause.DIFFERS or (zeros and cause in (Cause.HIDDEN, Cause.RIGHT))
-    return Finding("still", cause, figures, {"zeros": [round(float(v), 5) for v in values]} if kept else {})
+    shown_readings = readings[encoders]
+    tilted = bool(len(shown_readings) > 1 and np.ptp(shown_readings) < tolerance)
+    figures = {"zeros": shown_readings.tolist(), "zero_errors": errors[encoders].tolist(), "tilted": tilted}
+    present_zeros = np.array(zeros or [0.0] * len(readings))
+    values = np.where(judged & (is_wrong | ~is_large), present_zeros + readings, present_zeros)
+    writes = cause is Cause.DIFFERS or (zeros and cause in (Cause.HIDDEN, Cause.RIGHT))
+    return Finding("still", cause, figures, {"zeros": [round(float(v), 5) for v in values]} if writes else {})
 
 
 def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, ...]], gain: float) -> list[Finding]:
-    """Judge order, form, signs and counts of the encoders, with one finding for each fault."""
-    order, unknown, scales, n = wiring.order, wiring.unknown, _scales(wiring, gain), len(wiring.order)
+    """Judge order, form, signs and factors of the encoders, with one finding for each fault.
+
+    `signs` are the reversals of `_signs`, and `gain` is that of the drive.
+    """
+    order, unknown, scales, arm_count = wiring.order, wiring.unknown, _scales(wiring, gain), len(wiring.order)
     figures = {
         "form": wiring.form.value,
         "order": [k + 1 for k in order],
@@ -364,112 +392,137 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
         "swing": swing.readings.std(axis=0).tolist(),
         "kind": "joint" if wiring.form in (Form.SUMMED, Form.RELATIVE) else "absolute",
     }
+    # While an encoder stands still or its factor is uncertain, order and form cannot be judged.
     decided = not wiring.stuck.any() and not unknown.any()
-    whole = {
+    common_faults = {
         Cause.STANDS: max(figures["swing"]) < LEAST_SWING,
         Cause.UNKNOWN: decided and wiring.misfit > _LEFT_OVER,
-        Cause.SWAPPED: decided and order != tuple(range(n)),
+        Cause.SWAPPED: decided and order != tuple(range(arm_count)),
         Cause.NOT_SUMMED: decided and wiring.form is Form.RELATIVE,
         Cause.SUMMED_TWICE: decided and wiring.form is Form.TWICE,
     }
-    found = [Finding("encoders", cause, figures) for cause, holds in whole.items() if holds]
-    if whole[Cause.STANDS] or whole[Cause.UNKNOWN]:
-        return found[:1]
-    turned = signs[0] if len(signs) == 1 else ()
+    findings = [Finding("encoders", cause, figures) for cause, holds in common_faults.items() if holds]
+    if common_faults[Cause.STANDS] or common_faults[Cause.UNKNOWN]:
+        return findings[:1]
+    reversed_names = signs[0] if len(signs) == 1 else ()
     for k, scale in enumerate(scales.tolist()):
-        each = {
+        arm_faults = {
             Cause.STUCK: wiring.stuck[k],
-            Cause.REVERSED: f"arm {k + 1}" in turned,
+            Cause.REVERSED: f"arm {k + 1}" in reversed_names,
             Cause.SCALE: not wiring.stuck[k] and not math.isnan(scale) and scale != 1,
         }
-        of_arm = {**figures, "arm": k + 1, "scale": scale}
-        found += [Finding("encoders", cause, of_arm) for cause, holds in each.items() if holds]
+        arm_figures = {**figures, "arm": k + 1, "scale": scale}
+        findings += [Finding("encoders", cause, arm_figures) for cause, holds in arm_faults.items() if holds]
     if hidden := [k + 1 for k in np.flatnonzero(np.isnan(scales)).tolist()]:
-        found.append(Finding("encoders", Cause.HIDDEN, {**figures, "hidden": hidden}))
-    return found or [Finding("encoders", Cause.RIGHT, figures)]
+        findings.append(Finding("encoders", Cause.HIDDEN, {**figures, "hidden": hidden}))
+    return findings or [Finding("encoders", Cause.RIGHT, figures)]
 
 
 def _counts(session: RigSession, wiring: Wiring, gain: float, settings: LoopSettings) -> Finding:
-    """Compare the rounding of joint angles with the encoder counts in [run]."""
+    """Compare the counts per turn that follow from the rounding of joint angles with the encoder counts in [run].
+
+    `gain` is that of the drive.
+    """
     joints = np.diff(np.array(session.positions)[:, :-1], axis=1, prepend=0.0)
     steps = np.array([rounding(column) for column in joints.T])
     # An angle that is four times too large has steps that are four times too large.
     scales = _scales(wiring, gain)
-    seen = [round(2 * np.pi * f / q) if q and f == f else None for f, q in zip(scales, steps, strict=True)]
-    said = list(settings.sensors.of_each("counts", len(seen)))
-    same = [not one or (told and abs(one / told - 1) < _SAME) for one, told in zip(seen, said, strict=True)]
+    measured = [
+        # NaN, a factor that friction hides, differs from itself.
+        round(2 * np.pi * scale / step) if step and scale == scale else None
+        for scale, step in zip(scales, steps, strict=True)
+    ]
+    configured = list(settings.sensors.of_each("counts", len(measured)))
+    agree = [
+        not count or (setting and abs(count / setting - 1) < _SAME)
+        for count, setting in zip(measured, configured, strict=True)
+    ]
     # An encoder that was not measured keeps its number.
-    values = [one or told for one, told in zip(seen, said, strict=True)]
-    seen, said, same = (list(compress(column, session.encoders)) for column in (seen, said, same))
+    changed_counts = [count or setting for count, setting in zip(measured, configured, strict=True)]
+    measured, configured, agree = (list(compress(column, session.encoders)) for column in (measured, configured, agree))
     cause = _first(
         {
-            Cause.UNKNOWN: any(said) and not any(seen),
-            Cause.DIFFERS: not all(same),
-            Cause.HIDDEN: any(seen) and not all(seen),
+            Cause.UNKNOWN: any(configured) and not any(measured),
+            Cause.DIFFERS: not all(agree),
+            Cause.HIDDEN: any(measured) and not all(measured),
             Cause.RIGHT: True,
         }
     )
-    changes = {"counts": values if len(set(values)) > 1 else values[0]}
-    return Finding("counts", cause, {"counts": seen, "said": said}, changes if cause is Cause.DIFFERS else {})
+    changes = {"counts": changed_counts if len(set(changed_counts)) > 1 else changed_counts[0]}
+    return Finding("counts", cause, {"counts": measured, "said": configured}, changes if cause is Cause.DIFFERS else {})
 
 
 def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings) -> Finding:
-    """Compare the play of the encoders with that in [run]."""
+    """Compare the play of the encoders, rad, with that in [run].
+
+    `angles` (K, n) are the readings of the arms, rad. `period` is the control period, s.
+    """
     encoders = ~np.isnan(wiring.errors)
     joints = np.diff(angles, axis=1, prepend=0.0).T[encoders]
-    every = np.array(settings.mechanics.of_each("play", len(encoders)))
-    known = every[encoders]
+    settings_play = np.array(settings.mechanics.of_each("play", len(encoders)))
+    configured = settings_play[encoders]
     plays, errors = (np.array(values) for values in zip(*(fit_play(joint, period) for joint in joints), strict=True))
     # Play can make joint encoders look like absolute ones.
-    right = wiring.form in (Form.SUMMED, Form.ABSOLUTE) and bool(np.all(_scales(wiring, 1.0) == 1))
-    least = np.array([max(_LEAST_PLAY, rounding(joint)) for joint in joints])
-    same = np.abs(plays - known) <= np.maximum(3 * errors, np.maximum(least, 0.2 * known))
+    wiring_is_right = wiring.form in (Form.SUMMED, Form.ABSOLUTE) and bool(np.all(_scales(wiring, 1.0) == 1))
+    least_plays = np.array([max(_LEAST_PLAY, rounding(joint)) for joint in joints])
+    agree = np.abs(plays - configured) <= np.maximum(3 * errors, np.maximum(least_plays, 0.2 * configured))
     cause = _first(
-        {Cause.UNKNOWN: not right or not np.isfinite(plays).all(), Cause.RIGHT: same.all(), Cause.DIFFERS: True}
+        {
+            Cause.UNKNOWN: not wiring_is_right or not np.isfinite(plays).all(),
+            Cause.RIGHT: agree.all(),
+            Cause.DIFFERS: True,
+        }
     )
     figures = {
         "play": plays.tolist(),
         "play_errors": errors.tolist(),
-        "said": known.tolist(),
-        "least": float(least.max()),
+        "said": configured.tolist(),
+        "least": float(least_plays.max()),
     }
-    every[encoders] = np.where(plays > np.maximum(least, 3 * errors), np.round(plays, 5), 0.0)
-    return Finding("play", cause, figures, {"play": every.tolist()} if cause is Cause.DIFFERS else {})
+    settings_play[encoders] = np.where(plays > np.maximum(least_plays, 3 * errors), np.round(plays, 5), 0.0)
+    return Finding("play", cause, figures, {"play": settings_play.tolist()} if cause is Cause.DIFFERS else {})
 
 
 def _friction(swing: CommissioningSwing, arms: ArmChainParameters, settings: LoopSettings) -> Finding:
-    """Compare the dry friction of the joints with [run] and with the model."""
+    """Compare the dry friction (n,) of the joints, N m, with [run] and with the model."""
     (torques, errors), mechanics, coulomb = swing.dry, settings.mechanics, np.array(arms.coulomb or 0.0)
-    said = np.array(mechanics.of_each("stiction", arms.count)) * mechanics.kinetic + coulomb
-    least = np.maximum(_FRICTION * arms.base()[arms.count * (arms.count + 1) // 2 :][: arms.count].max(), 3 * errors)
+    configured = np.array(mechanics.of_each("stiction", arms.count)) * mechanics.kinetic + coulomb
+    least_torques = np.maximum(
+        _FRICTION * arms.base()[arms.count * (arms.count + 1) // 2 :][: arms.count].max(), 3 * errors
+    )
     figures = {
         "torques": torques.tolist(),
         "errors": errors.tolist(),
-        "least": float(least[np.isfinite(least)].max(initial=0.0)),
+        "least": float(least_torques[np.isfinite(least_torques)].max(initial=0.0)),
         "stiction": (np.maximum(torques - coulomb, 0) / max(mechanics.kinetic, 0.1)).tolist(),
     }
-    same = np.all(np.abs(torques - said) < np.maximum(least, 0.5 * said))
-    return Finding("friction", Cause.RIGHT if same else Cause.DOUBTFUL, figures)
+    agrees = np.all(np.abs(torques - configured) < np.maximum(least_torques, 0.5 * configured))
+    return Finding("friction", Cause.RIGHT if agrees else Cause.DOUBTFUL, figures)
 
 
 def _model(swing: CommissioningSwing, wiring: Wiring, arms: ArmChainParameters) -> Finding:
-    """Compare the arms' frequencies and viscous dampings with the model's."""
+    """Compare the arms' frequencies and viscous dampings with the model's.
+
+    The frequencies' ratios to the model's and the dampings are those that `fit_swing` found.
+    """
     viscous, errors = swing.viscous
-    surely = replace(arms, viscous=tuple(np.maximum(viscous - 3 * errors, 0.0).tolist()))
-    damped = float((modes(surely).dampings / np.maximum(modes(arms).dampings, _LEAST_DAMPING / _FASTER)).max())
+    least_viscous_arms = replace(arms, viscous=tuple(np.maximum(viscous - 3 * errors, 0.0).tolist()))
+    damping_ratio = float(
+        (modes(least_viscous_arms).dampings / np.maximum(modes(arms).dampings, _LEAST_DAMPING / _FASTER)).max()
+    )
     figures = {
         "frequencies": (modes(arms).frequencies * swing.ratios / 2 / np.pi).tolist(),
         "viscous": viscous.tolist(),
         "viscous_errors": errors.tolist(),
         "ratios": swing.ratios.tolist(),
-        "damped": damped,
+        "damped": damping_ratio,
     }
-    detuned = float(np.abs(swing.ratios - 1).max()) >= _DETUNING and not np.any(wiring.stuck | wiring.unknown)
-    return Finding("model", Cause.DOUBTFUL if damped > _FASTER or detuned else Cause.RIGHT, figures)
+    is_detuned = float(np.abs(swing.ratios - 1).max()) >= _DETUNING and not np.any(wiring.stuck | wiring.unknown)
+    return Finding("model", Cause.DOUBTFUL if damping_ratio > _FASTER or is_detuned else Cause.RIGHT, figures)
 
 
 def _switch(side: int, answer: int, at: float, limits: Limits) -> Finding:
-    """Judge the response of a limit switch."""
+    """Judge a limit switch by its `answer` (-1, 0 or 1) `at` m from home, when the cart crept to `side` (1 or -1)."""
     cause = _first(
         {
             Cause.OTHER: answer == -side,
@@ -483,10 +536,13 @@ def _switch(side: int, answer: int, at: float, limits: Limits) -> Finding:
 
 
 def _deadlines(session: RigSession) -> Finding:
-    """Judge the timing of both ends."""
+    """Judge the timing of both ends: late ticks, lost readings and repeated commands."""
     ticks, lost = len(session.positions), session.present.count(False)
-    kept = getattr(session.rig, "deadlines", None)
-    held = kept.held if isinstance(kept, Deadlines) else 0
-    worst = max(session.late, lost, held)
-    cause = _first({Cause.RIGHT: worst <= 0.001 * ticks, Cause.DOUBTFUL: worst <= OFTEN_LATE * ticks, Cause.LATE: True})
-    return Finding("deadlines", cause, {"ticks": ticks, "late": session.late, "lost": lost, "held": held})
+    # A rig in simulated time has no deadlines.
+    deadlines = getattr(session.rig, "deadlines", None)
+    repeated = deadlines.held if isinstance(deadlines, Deadlines) else 0
+    worst_count = max(session.late, lost, repeated)
+    cause = _first(
+        {Cause.RIGHT: worst_count <= 0.001 * ticks, Cause.DOUBTFUL: worst_count <= OFTEN_LATE * ticks, Cause.LATE: True}
+    )
+    return Finding("deadlines", cause, {"ticks": ticks, "late": session.late, "lost": lost, "held": repeated})

@@ -42,17 +42,22 @@ _INVISIBLE = 1e-6
 
 
 def solved(design: Array, values: Array) -> Array:
-    """Return the least-squares solution.
+    """Return the least-squares solution x (p,) or (p, n) of design · x = values.
 
-    `design` is (K, p), and the values are (K,) or (K, n).
+    `design` is (K, p), and the values are (K,) or (K, n). A direction with hardly any motion gets the value zero.
     """
     return np.asarray(np.linalg.lstsq(design, values, rcond=_INVISIBLE)[0], dtype=float)
 
 
 class DriveFit(NamedTuple):
-    """Fitted drive: delay and lag, s, gain, standard errors.
+    """Fitted drive, for comparison with the drive's settings in [run].
 
-    misfit: unexplained fraction of the motion.
+    Attributes:
+        delay: time from a command to the beginning of its effect, s.
+        lag: time constant of the velocity loop, s.
+        gain: cart's acceleration over the command.
+        errors: standard errors of the three.
+        misfit: unexplained fraction of the motion.
     """
 
     delay: float
@@ -66,12 +71,13 @@ def response(commands: Array, period: float, total: float, square: float = 0.0) 
     """Return the positions (K,) of a cart at rest that responds to commands (K,) m/s² with unit gain.
 
     The parameters are `total` s, the sum of delay and lag, and `square` s², that of the lag. The two are nearly
-    independent even at zero lag, unlike delay and lag.
+    independent even at zero lag, unlike delay and lag. `period` is the time between commands, s.
     """
     lag = math.sqrt(square)
-    after = np.maximum(np.arange(len(commands)) * period - (total - lag), 0.0)
-    fading = np.exp(-after / lag) if lag else np.where(after > 0, 0.0, 1.0)
-    kernel = after**2 / 2 - lag * (after - lag * (1 - fading))
+    elapsed = np.maximum(np.arange(len(commands)) * period - (total - lag), 0.0)
+    fading = np.exp(-elapsed / lag) if lag else np.where(elapsed > 0, 0.0, 1.0)
+    # p(s) at the head of this module, for each tick after a jump of the command.
+    kernel = elapsed**2 / 2 - lag * (elapsed - lag * (1 - fading))
     return signal.fftconvolve(np.diff(commands, prepend=0.0), kernel)[: len(commands)]
 
 
@@ -82,23 +88,29 @@ _MARGIN = 0.5
 
 
 def _high_passed(count: int, period: float) -> Callable[[Array], Array]:
-    """Return a filter of `count` samples that leaves no constant, velocity or acceleration."""
+    """Return a filter of `count` samples that leaves no constant, velocity or acceleration.
+
+    The filter drops the samples at the beginning, in which it settles, and works on arrays (count,) or (count, m).
+    `period` is the time between samples, s.
+    """
     sections = signal.butter(2, min(_HIGH_PASS, 0.05 / period), "highpass", fs=1 / period, output="sos")
     skip = min(round(0.3 / period), count // 8)
 
-    def passed(values: Array) -> Array:
+    def filtered(values: Array) -> Array:
+        """Apply the Butterworth filter, and drop the samples in which it settles."""
         return np.asarray(signal.sosfilt(sections, values, axis=0), dtype=float)[skip:]
 
-    base, _ = np.linalg.qr(passed(np.vander(np.linspace(-1, 1, count), 3)))
+    slow_motions, _ = np.linalg.qr(filtered(np.vander(np.linspace(-1, 1, count), 3)))
 
-    def high(values: Array) -> Array:
-        return passed(values) - base @ (base.T @ passed(values))
+    def high_passed(values: Array) -> Array:
+        """Return the filtered values without the filtered parabola that fits them best."""
+        return filtered(values) - slow_motions @ (slow_motions.T @ filtered(values))
 
-    return high
+    return high_passed
 
 
 def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: int, last: int) -> DriveFit:
-    """Fit delay, lag and gain of the drive.
+    """Fit delay, lag and gain of the drive to the cart's motion during the chirp.
 
     Args:
         carts: readings (K,), m.
@@ -107,42 +119,42 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
         first: tick at which the chirp begins.
         last: tick at which it ends.
     """
-    begin, end = max(first - round(_MARGIN / period), 0), min(last + round(_MARGIN / period), len(carts))
-    x, u = carts[begin:end], np.array([*commands, 0.0])[begin:end]
-    high = _high_passed(len(x), period)
+    start, end = max(first - round(_MARGIN / period), 0), min(last + round(_MARGIN / period), len(carts))
+    positions, demands = carts[start:end], np.array([*commands, 0.0])[start:end]
+    filtered = _high_passed(len(positions), period)
     # In units of the motion itself, so that tolerances are relative.
-    size = max(float(np.std(high(x))), 1e-9)
-    y = high(x) / size
+    motion_size = max(float(np.std(filtered(positions))), 1e-9)
+    measured = filtered(positions) / motion_size
 
     def motion(total: float, gain: float, square: float) -> Array:
-        """Return the motion for total in ms and square in ms²."""
-        return gain * high(response(u, period, 1e-3 * total, 1e-6 * square)) / size
+        """Return the filtered motion, relative to the measured size, for total in ms and square in ms²."""
+        return gain * filtered(response(demands, period, 1e-3 * total, 1e-6 * square)) / motion_size
 
-    def rough(total: float, lag: float) -> tuple[float, float, float, float]:
-        """Return the cost of a delay and a lag in ms, the best gain, and both again."""
-        p = motion(total, 1.0, lag**2)
-        gain = float(p @ y) / max(float(p @ p), 1e-30)
-        return float(np.sum((y - gain * p) ** 2)), gain, total, lag
+    def coarse_fit(total: float, lag: float) -> tuple[float, float, float, float]:
+        """Return the cost of a delay and a lag in ms, the best gain, and both again; the least tuple fits best."""
+        unit_motion = motion(total, 1.0, lag**2)
+        gain = float(unit_motion @ measured) / max(float(unit_motion @ unit_motion), 1e-30)
+        return float(np.sum((measured - gain * unit_motion) ** 2)), gain, total, lag
 
-    def fitted(values: Array, free: int) -> tuple[Array, Array]:
+    def refined(values: Array, free: int) -> tuple[Array, Array]:
         """Return the best values of two or three free parameters and their standard errors."""
         bounds = np.array([-1e3 * period, -np.inf, 0.0]), np.array([800, np.inf, 90_000])
         fit = fit_windows(model, values, np.arange(free), bounds=bounds, settings=_DRIVE)
         return fit.values, np.sqrt(np.diag(fit.covariance()))
 
     delays = [0.5e3 * period + d for d in (0.0, *2.0 ** np.arange(8))]
-    _, gain, total, lag = min(rough(d + lag, lag) for d in delays for lag in (0.0, 4.0, 16.0))
-    model = DifferencedModel(lambda sets: np.array([y - motion(*values) for values in sets])[:, :, None])
+    _, gain, total, lag = min(coarse_fit(d + lag, lag) for d in delays for lag in (0.0, 4.0, 16.0))
+    model = DifferencedModel(lambda sets: np.array([measured - motion(*values) for values in sets])[:, :, None])
     # Start inside the bounds, because a search would stay on them.
-    values, errors = fitted(np.array([total, gain, max(lag, 0.5) ** 2]), 3)
+    values, errors = refined(np.array([total, gain, max(lag, 0.5) ** 2]), 3)
     # Error of the square's root, which is non-negative.
     lag, lag_error = math.sqrt(values[2]), math.sqrt(values[2] + errors[2]) - math.sqrt(values[2])
     if values[2] < 3 * errors[2] or lag < _NO_LAG:
         # The lag is then zero and must not add to the uncertainty of the delay.
         lag, lag_error = 0.0, math.sqrt(values[2] + errors[2])
-        values, errors = fitted(np.array([*values[:2], 0.0]), 2)
+        values, errors = refined(np.array([*values[:2], 0.0]), 2)
     total, gain, _ = values
-    misfit = float(np.sqrt(np.mean((motion(*values) - y) ** 2) / max(np.mean(y**2), 1e-24)))
+    misfit = float(np.sqrt(np.mean((motion(*values) - measured) ** 2) / max(np.mean(measured**2), 1e-24)))
     delay_error = math.hypot(errors[0], lag_error if lag else 0.0)
     return DriveFit(1e-3 * (total - lag), 1e-3 * lag, gain, (1e-3 * delay_error, 1e-3 * lag_error, errors[1]), misfit)
 
@@ -156,9 +168,11 @@ _DRIVE = FitSettings(robust=1.5, least_scale=1e-9)
 class Modes(NamedTuple):
     """Normal modes of hanging arms.
 
-    Frequencies (n,) rad/s, dampings (n,), shapes W_0 (n, n) by column.
-
-    `vectors` (n, n) are the modes of unit mass, by column.
+    Attributes:
+        frequencies: (n,), rad/s.
+        dampings: damping ratios (n,) from viscous friction.
+        shapes: shapes W_0 (n, n) by column, scaled by the cart's effect on each mode.
+        vectors: modes (n, n) of unit mass, by column.
     """
 
     frequencies: Array
@@ -168,25 +182,25 @@ class Modes(NamedTuple):
 
 
 def modes(arms: ArmChainParameters) -> Modes:
-    """Return the normal modes of hanging arms on an accelerated cart.
+    """Return the normal modes of hanging arms on an accelerated cart, as a reference for measured swings.
 
-    Θ = shapes · y.
+    The angles are Θ = shapes · y, each entry of y an oscillator that minus the cart's acceleration drives.
 
     Args:
         arms: parameters of the n arms.
     """
     n, base = arms.count, arms.base()
     weights, coupling = base[n * (n + 1) // 2 :][:n], base[n * (n + 1) // 2 + n :][:n]
-    joints = np.linalg.inv(sums_of(n))
-    drag = joints.T @ np.diag(arms.viscous) @ joints
-    squares, vectors = linalg.eigh(np.diag(weights), arms.mass_in_line)
-    frequencies = np.sqrt(squares)
+    to_joints = np.linalg.inv(sums_of(n))
+    drag = to_joints.T @ np.diag(arms.viscous) @ to_joints
+    frequency_squares, vectors = linalg.eigh(np.diag(weights), arms.mass_in_line)
+    frequencies = np.sqrt(frequency_squares)
     dampings = np.diag(vectors.T @ drag @ vectors) / (2 * frequencies)
     return Modes(frequencies, dampings, vectors * (vectors.T @ coupling), vectors)
 
 
 def sums_of(n: int) -> Array:
-    """Return the matrix that converts joint angles to absolute angles."""
+    """Return the matrix (n, n) that converts joint angles to absolute angles."""
     return np.tril(np.ones((n, n)))
 
 
@@ -239,7 +253,7 @@ def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainP
     """
     n, model = arms.count, modes(arms)
     sums = sums_of(n)
-    ratios, viscous, dry, place, speed = np.split(values.T, 5)
+    ratios, viscous, dry, angles, rates = np.split(values.T, 5)
     mass = sums.T @ arms.mass_in_line @ sums
     shapes = sums.T @ arms.mass_in_line @ model.vectors
     inverse = np.linalg.inv(mass + period * np.eye(n) * viscous.T[:, :, None])
@@ -248,35 +262,40 @@ def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainP
     jumps = np.diff(carts, prepend=carts[0], n=2) / period
     pushes = jumps[:, None, None] * (np.linalg.inv(sums) @ model.shapes.sum(axis=1))[:, None]
     # Sets lie side by side in each row, because numpy needs most of its time to begin an operation.
-    most, least, held = list(period * dry), list(-period * dry), [*np.zeros_like(dry)]
-    columns = [inverse[:, :, j].T.copy() for j in range(n)]
-    sizes, out = [columns[j][j] for j in range(n)], np.empty((len(carts), *place.shape))
-    out[0] = place
+    largest, smallest, impulses = list(period * dry), list(-period * dry), [*np.zeros_like(dry)]
+    # An impulse of dry friction, N m s, changes the rates by its joint's column of `inverse`.
+    effects = [inverse[:, :, j].T.copy() for j in range(n)]
+    own_effects, trajectory = [effects[j][j] for j in range(n)], np.empty((len(carts), *angles.shape))
+    trajectory[0] = angles
     for k, push in enumerate(pushes, start=1):
-        speed = (step @ np.concatenate([speed - push, place, held]).T[:, :, None])[:, :, 0].T.copy()
+        rates = (step @ np.concatenate([rates - push, angles, impulses]).T[:, :, None])[:, :, 0].T.copy()
         for j in [*range(n)] * _SWEEPS:
-            torque = np.maximum(np.minimum(held[j] + speed[j] / sizes[j], most[j]), least[j])
-            speed -= columns[j] * (torque - held[j])
-            held[j] = torque
-        place = place + period * speed
-        out[k] = place
-    return (sums @ out).transpose(2, 0, 1)
+            impulse = np.maximum(np.minimum(impulses[j] + rates[j] / own_effects[j], largest[j]), smallest[j])
+            rates -= effects[j] * (impulse - impulses[j])
+            impulses[j] = impulse
+        angles = angles + period * rates
+        trajectory[k] = angles
+    return (sums @ trajectory).transpose(2, 0, 1)
 
 
 def _coarse_guess(costs: Callable[[Array], Array], guess: Array, n: int) -> Array:
-    """Return the best of coarse grids of friction and frequencies, one parameter after the other, scaled."""
-    dry = [[2 * n + k] for k in range(n)]
+    """Return the best values of coarse grids of dry friction and frequencies, one parameter after the other.
+
+    They are the start of the fit, which would otherwise end in a local minimum. `costs` returns the costs (P,) of
+    values (P, 5n), which are those of `simulated_swings` in the units of the fit. `guess` (5n,) is the start.
+    """
+    dry_places = [[2 * n + k] for k in range(n)]
     # Friction can look like another frequency, so a frequency must improve the fit the more the farther it is away.
-    for places in ([*range(2 * n, 3 * n)], *dry, *([k] for k in range(n)), *dry):
-        tried, penalty = (_DETUNED, 1 + np.abs(_DETUNED)) if places[0] < n else (_DRY, np.ones(len(_DRY)))
-        lanes = np.tile(guess, (len(tried), 1))
-        lanes[:, places] = tried[:, None]
-        guess = lanes[np.argmin(costs(lanes) * penalty)]
+    for entries in ([*range(2 * n, 3 * n)], *dry_places, *([k] for k in range(n)), *dry_places):
+        candidates, penalty = (_DETUNED, 1 + np.abs(_DETUNED)) if entries[0] < n else (_DRY, np.ones(len(_DRY)))
+        guesses = np.tile(guess, (len(candidates), 1))
+        guesses[:, entries] = candidates[:, None]
+        guess = guesses[np.argmin(costs(guesses) * penalty)]
     return guess
 
 
 def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParameters) -> CommissioningSwing:
-    """Fit frequencies, friction and first state of the arms to their readings.
+    """Fit frequencies, friction and first state of the arms to their readings, whatever the wiring of the encoders.
 
     The readings can be any linear combination of the angles.
 
@@ -286,40 +305,43 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
         period: time between readings, s.
         arms: model of the arms.
     """
-    n, every = arms.count, max(1, round(1 / (_ROWS * period)))
-    rows, x, period = angles[::every], carts[::every] - carts[0], period * every
+    n, stride = arms.count, max(1, round(1 / (_ROWS * period)))
+    rows, cart_positions, period = angles[::stride], carts[::stride] - carts[0], period * stride
     weight = float(arms.base()[n * (n + 1) // 2 :][:n].max())
-    unit = np.repeat([0.1, 1e-3 * weight, 1e-2 * weight, 0.05, 0.3], n)
+    units = np.repeat([0.1, 1e-3 * weight, 1e-2 * weight, 0.05, 0.3], n)
 
-    def left(values: Array) -> tuple[Array, Array]:
-        """Return angles and a constant (P, K, n+1), and the residuals (P, K, n) of their best combinations."""
-        motions = simulated_swings(values * unit, x, period, arms)
+    def combinations(values: Array) -> tuple[Array, Array]:
+        """Return angles and a constant (P, K, n+1), and the residuals (P, K, n) of their best combinations.
+
+        `values` are P rows of 5n values of `simulated_swings`, each in its unit.
+        """
+        motions = simulated_swings(values * units, cart_positions, period, arms)
         designs = np.concatenate([motions, np.ones((len(values), len(rows), 1))], axis=2)
         return designs, np.array([design @ solved(design, rows) - rows for design in designs])
 
-    start = np.concatenate([np.zeros(n), arms.viscous, np.zeros(3 * n)]) / unit
+    start = np.concatenate([np.zeros(n), arms.viscous, np.zeros(3 * n)]) / units
     # A fit from the model's frequencies and a friction that nearly holds the arms finds what a coarse search misses.
-    starts = (
+    guesses = (
         start + np.repeat([0, 0, 1, 0, 0], n),
-        _coarse_guess(lambda lanes: (left(lanes)[1] ** 2).sum(axis=(1, 2)), start, n),
+        _coarse_guess(lambda lanes: (combinations(lanes)[1] ** 2).sum(axis=(1, 2)), start, n),
     )
 
     bounds = np.repeat([[-5.0, 0.0, 0.0, -np.inf, -np.inf], [5.0, np.inf, np.inf, np.inf, np.inf]], n, axis=1)
-    model, free = DifferencedModel(lambda sets: -left(sets)[1]), np.arange(5 * n)
-    fits = [fit_windows(model, guess, free, bounds=(bounds[0], bounds[1]), settings=_SWING) for guess in starts]
+    model, free = DifferencedModel(lambda sets: -combinations(sets)[1]), np.arange(5 * n)
+    fits = [fit_windows(model, guess, free, bounds=(bounds[0], bounds[1]), settings=_SWING) for guess in guesses]
     values = min(fits, key=lambda fit: float(np.square(fit.residuals).sum())).values
-    designs, rest = left(values + STEP * np.eye(5 * n + 1, 5 * n, k=-1))
+    designs, residuals = combinations(values + STEP * np.eye(5 * n + 1, 5 * n, k=-1))
     weights = solved(designs[0], rows)
     motions = designs @ weights
-    turned = np.moveaxis(motions[1:] - motions[0], 0, -1).reshape(-1, 5 * n) / STEP
+    slopes = np.moveaxis(motions[1:] - motions[0], 0, -1).reshape(-1, 5 * n) / STEP
     # Each reading has its own combination and zero.
-    errors = _errors(np.hstack([turned, np.kron(designs[0], np.eye(n))]), -rest[0])
-    ratios, viscous, dry, *_ = np.split(values * unit, 5)
-    _, of_viscous, of_dry, *_ = np.split(errors[: 5 * n] * unit, 5)
+    errors = _errors(np.hstack([slopes, np.kron(designs[0], np.eye(n))]), -residuals[0])
+    ratios, viscous, dry, *_ = np.split(values * units, 5)
+    _, of_viscous, of_dry, *_ = np.split(errors[: 5 * n] * units, 5)
     return CommissioningSwing(
         rows,
         designs[0, :, :n],
-        turned,
+        slopes,
         np.exp(ratios),
         (viscous, of_viscous),
         (dry, of_dry),
@@ -331,13 +353,16 @@ _SWING = FitSettings(robust=0.0, iterations=25, tolerance=1e-4)
 
 
 def _errors(jacobian: NDArray[Any], residual: Array) -> Array:
-    """Return standard errors (p,) for derivatives (K n, p) and residuals (K, n) that are correlated."""
+    """Return standard errors (p,) from derivatives (K n, p) and residuals (K, n) that are correlated in time.
+
+    A row of derivatives belongs to one entry of the residuals, row by row.
+    """
     scores = (jacobian * residual.reshape(-1, 1)).reshape(*residual.shape, -1).sum(axis=1)
     return np.sqrt(np.diag(clustered_covariance(jacobian.T @ jacobian, [scores], [residual])))
 
 
 class Form(StrEnum):
-    """Relation between angles and encoders."""
+    """Relation between the arms' angles and their encoders' readings, as a rig may be wired or programmed."""
 
     SUMMED = "joint encoders, summed"
     RELATIVE = "joint encoders, not summed"
@@ -346,10 +371,14 @@ class Form(StrEnum):
 
 
 class Wiring(NamedTuple):
-    """Wiring: form, order of the encoders, signs and factors (n,), unexplained fraction of the rms.
+    """How encoders are wired, as far as the swing of the arms shows it.
 
-    The standard error (n,) of a factor that friction hides is infinite. It is NaN, and the factor 1, for an arm without
-    an encoder.
+    Attributes:
+        form: relation between angles and encoders.
+        order: arm (n,) whose angle each encoder measures.
+        factors: sign and factor (n,) of each encoder, 1 if it is right or missing.
+        misfit: unexplained fraction of the rms.
+        errors: standard error (n,) of each factor, infinite if friction hides it, NaN without an encoder.
     """
 
     form: Form
@@ -360,12 +389,12 @@ class Wiring(NamedTuple):
 
     @property
     def unknown(self) -> NDArray[np.bool_]:
-        """Return True for each factor (n,) that is unknown."""
+        """True for each encoder (n,) whose factor is too uncertain to be judged."""
         return 3 * self.errors > FACTOR * np.maximum(np.abs(self.factors), 1)
 
     @property
     def stuck(self) -> NDArray[np.bool_]:
-        """Return True for each encoder (n,) that stands still although its joint moves."""
+        """True for each encoder (n,) that stands still although its joint moves."""
         return (np.abs(self.factors) < STUCK) & ~self.unknown
 
 
@@ -378,35 +407,37 @@ _CLEARLY = 0.6
 
 
 def read_wiring(swing: CommissioningSwing, encoders: NDArray[np.bool_]) -> Wiring:
-    """Return the wiring that fits the readings best.
+    """Return the wiring that fits the readings best, for the findings about the encoders.
+
+    The correct wiring is preferred unless another one fits clearly better.
 
     Args:
         swing: readings, and the motion of the fitted model.
         encoders: True for each arm (n,) with an encoder.
     """
     n, m = len(encoders), int(encoders.sum())
-    sums, rest = sums_of(n), (swing.readings - swing.readings.mean(axis=0))[:, encoders]
-    joints, one = np.linalg.inv(sums), np.eye(n)
+    sums, centred = sums_of(n), (swing.readings - swing.readings.mean(axis=0))[:, encoders]
+    joints, identity = np.linalg.inv(sums), np.eye(n)
     forms = {
         Form.SUMMED: (sums, joints),
-        Form.ABSOLUTE: (one, one),
-        Form.RELATIVE: (one, joints),
-        Form.TWICE: (sums, one),
+        Form.ABSOLUTE: (identity, identity),
+        Form.RELATIVE: (identity, joints),
+        Form.TWICE: (sums, identity),
     }
-    found: list[tuple[Wiring, Array]] = []
+    candidates: list[tuple[Wiring, Array]] = []
     for order in permutations(range(n)):
-        for form, (after, before) in forms.items():
-            inner = (swing.motion - swing.motion.mean(axis=0)) @ before[list(order)].T
-            columns = (after[encoders] * inner[:, None]).reshape(-1, n)
-            factors = solved(columns, rest.ravel())
-            left = float(np.linalg.norm(rest.ravel() - columns @ factors) / max(np.linalg.norm(rest), 1e-12))
-            errors = np.where(inner.std(axis=0) < LEAST_SWING, np.inf, 0.0)
-            found.append((Wiring(form, order, factors, left, errors), columns))
-    least = min(wiring.misfit for wiring, _ in found)
-    nearest, columns = next(pair for pair in found if _CLEARLY * pair[0].misfit <= least + 1e-3)
-    slopes = swing.slopes[np.tile(encoders, len(rest))]
-    design = np.hstack([columns, slopes, np.kron(np.ones((len(rest), 1)), np.eye(m))])
-    errors = _errors(design, rest - (columns @ nearest.factors).reshape(rest.shape))[:n]
+        for form, (outer, inner_map) in forms.items():
+            encoder_angles = (swing.motion - swing.motion.mean(axis=0)) @ inner_map[list(order)].T
+            columns = (outer[encoders] * encoder_angles[:, None]).reshape(-1, n)
+            factors = solved(columns, centred.ravel())
+            misfit = float(np.linalg.norm(centred.ravel() - columns @ factors) / max(np.linalg.norm(centred), 1e-12))
+            errors = np.where(encoder_angles.std(axis=0) < LEAST_SWING, np.inf, 0.0)
+            candidates.append((Wiring(form, order, factors, misfit, errors), columns))
+    least_misfit = min(wiring.misfit for wiring, _ in candidates)
+    nearest, columns = next(pair for pair in candidates if _CLEARLY * pair[0].misfit <= least_misfit + 1e-3)
+    slopes = swing.slopes[np.tile(encoders, len(centred))]
+    design = np.hstack([columns, slopes, np.kron(np.ones((len(centred), 1)), np.eye(m))])
+    errors = _errors(design, centred - (columns @ nearest.factors).reshape(centred.shape))[:n]
     return nearest._replace(
         factors=np.where(encoders, nearest.factors, 1.0),
         errors=np.where(encoders, np.maximum(errors, nearest.errors), np.nan),
@@ -421,9 +452,7 @@ _LIKE = 20
 
 
 def fit_play(angles: Array, period: float) -> tuple[float, float]:
-    """Return the play of an encoder and its standard error, rad.
-
-    The play is that between a joint and its encoder.
+    """Return the play between a joint and its encoder and its standard error, rad.
 
     An encoder stops when its joint reverses, and follows again once the joint has crossed the play. Apart from the
     play, the readings on both sides of this gap lie on one smooth curve. Friction bends that curve at the reversal.
@@ -432,30 +461,42 @@ def fit_play(angles: Array, period: float) -> tuple[float, float]:
         angles: angles (K,) of the joint, as its encoder reads them, rad.
         period: time between readings, s.
     """
+    # The median of absolute differences of white noise is 0.954 times its standard deviation.
     noise = float(np.median(np.abs(np.diff(angles)))) / 0.954
-    least, mark = max(0.5 * rounding(angles), 5 * noise, 1e-9), angles[0]
-    ticks, sides = [], []
+    least_change, last_angle = max(0.5 * rounding(angles), 5 * noise, 1e-9), angles[0]
+    ticks, directions = [], []
     for k, angle in enumerate(angles.tolist()):
-        if abs(angle - mark) > least:
+        if abs(angle - last_angle) > least_change:
             ticks.append(k)
-            sides.append(math.copysign(1.0, angle - mark))
-            mark = angle
-    turns = np.flatnonzero(np.diff(sides)) + 1
+            directions.append(math.copysign(1.0, angle - last_angle))
+            last_angle = angle
+    reversals = np.flatnonzero(np.diff(directions)) + 1
     plays, weights = [], []
-    for before, turn, after in zip([0, *turns], turns, [*turns[1:], len(sides)], strict=False):
-        first, last, begin, end = ticks[before], ticks[turn - 1], ticks[turn], ticks[after - 1]
+    for previous_turn, turn, next_turn in zip(
+        [0, *reversals], reversals, [*reversals[1:], len(directions)], strict=False
+    ):
+        first, last, begin, end = ticks[previous_turn], ticks[turn - 1], ticks[turn], ticks[next_turn - 1]
         if min(last - first, end - begin) * period < _SHORTEST:
             continue
         span = round(_SPAN / period)
-        rows = np.concatenate(
+        samples = np.concatenate(
             [np.arange(max(first, last - span), last + 1), np.arange(begin, min(end, begin + span) + 1)]
         )
-        place, since = np.linspace(-1, 1, rows[-1] - rows[0] + 1)[rows - rows[0]], (rows - last) * period
-        side = np.where(rows <= last, -sides[turn], sides[turn])
-        design = np.column_stack([side / -2, np.where(since > 0, since**2, 0.0), np.vander(place, _DEGREE + 1)])
-        left = angles[rows] - design @ solved(design, angles[rows])
-        variance = _LIKE * float(left @ left) / len(rows) * np.linalg.pinv(design.T @ design)[0, 0]
-        plays.append(solved(design, angles[rows])[0])
+        scaled_times, time_after_reversal = (
+            np.linspace(-1, 1, samples[-1] - samples[0] + 1)[samples - samples[0]],
+            (samples - last) * period,
+        )
+        sides = np.where(samples <= last, -directions[turn], directions[turn])
+        design = np.column_stack(
+            [
+                sides / -2,
+                np.where(time_after_reversal > 0, time_after_reversal**2, 0.0),
+                np.vander(scaled_times, _DEGREE + 1),
+            ]
+        )
+        residuals = angles[samples] - design @ solved(design, angles[samples])
+        variance = _LIKE * float(residuals @ residuals) / len(samples) * np.linalg.pinv(design.T @ design)[0, 0]
+        plays.append(solved(design, angles[samples])[0])
         weights.append(1 / max(variance, 1e-16))
     if len(plays) < _REVERSALS:
         return math.nan, math.nan
@@ -468,13 +509,13 @@ _REVERSALS = 4
 
 
 def rounding(values: Array) -> float:
-    """Return the rounding step of values, or 0 without one."""
+    """Return the rounding step of values (K,), by which an encoder's counts are recognised, or 0 without one."""
     # Sums and differences of multiples have errors in their last digits.
-    levels = np.unique(np.round(values, 9))
-    gaps, span = np.diff(levels), float(np.ptp(levels))
+    distinct = np.unique(np.round(values, 9))
+    gaps, span = np.diff(distinct), float(np.ptp(distinct))
     gaps = gaps[gaps > 5e-9]
     step = float(np.min(gaps, initial=np.inf))
-    whole = np.abs(gaps / step - np.round(gaps / step)) < 0.02 + 2e-9 / step
-    if len(gaps) < 5 or step < 1e-6 or whole.mean() < 0.95:
+    is_multiple = np.abs(gaps / step - np.round(gaps / step)) < 0.02 + 2e-9 / step
+    if len(gaps) < 5 or step < 1e-6 or is_multiple.mean() < 0.95:
         return 0.0
     return span / round(span / step)

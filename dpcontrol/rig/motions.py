@@ -57,7 +57,7 @@ _ACCELERATE, _STOPPING = 0.3, 1.0
 
 
 class Halted(Exception):
-    """Further measurement is not possible, for a cause with its figures."""
+    """Raised if further measurement is not possible, with a cause and its figures."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,28 @@ class CommissioningSettings(Settings, table="commissioning"):
 class RigSession:
     """The rig during commissioning; records every tick and limits the cart's travel.
 
-    The angle of an arm without an encoder is 0, whatever the rig sends. encoders (n,): True for each measured arm.
+    The angle of an arm without an encoder is 0, whatever the rig sends.
+
+    Args:
+        rig: the rig.
+        arms: model of the n arms.
+        limits: the cart's limits, of which the acceleration bounds commands.
+        zeros: present readings (n,) of hanging arms, rad.
+        encoders: True for each arm (n,) with an encoder.
+
+    Attributes:
+        positions: reading (n+1,) of each tick, rad and m.
+        present: for each tick, True if all sensors were read.
+        commands: command after each reading, m/s².
+        switches: state of the limit switches at each tick: -1, 0 or 1.
+        late: number of late ticks.
+        held_from: tick from which the cart is held for the fit of the swing.
+        chirped_from: first tick of the chirp.
+        chirped_to: last tick of the chirp.
+        rang_to: last tick of the free swing, 0 before.
+        home: cart's reading at the start, m.
+        reach: largest distance from home that is permitted now, m.
+        step: name of the present step, to which a fault belongs.
     """
 
     def __init__(
@@ -121,6 +142,7 @@ class RigSession:
         self.gain = 0.0
         """Cart reading per command, once known; its sign is the drive's direction."""
         self.reach, self.step = REACH, "still"
+        # Ticks of the velocity's difference, and ticks since all sensors were read.
         self._span = max(1, round(_SLOPE / self.period))
         self._gap = 0
         self.read()
@@ -137,7 +159,7 @@ class RigSession:
         return len(self.positions) - 1
 
     def read(self) -> Reading:
-        """Read and store the next reading."""
+        """Read and store the next reading, with zeros subtracted, and the last positions in place of missing ones."""
         reading = self.rig.read()
         if reading.present is not None:
             reading = reading._replace(present=reading.present | ~self._measured)
@@ -151,7 +173,7 @@ class RigSession:
         return reading
 
     def advance(self, acceleration: float) -> Reading:
-        """Send a command, m/s², and return the next reading.
+        """Command an acceleration, m/s², within the cart's limit, and return the next reading.
 
         Raises:
             Halted: the rig has failed, the cart has left its range, or a sensor is not read.
@@ -165,49 +187,49 @@ class RigSession:
             raise Halted(Cause.FAULT, {"text": self.rig.fault.text})
         if self._gap * self.period > _LONGEST_GAP and reading.present is not None:
             sensors = [*(f"the encoder of arm {k + 1}" for k in range(self.arms.count)), "the cart's scale"]
-            absent = [sensors[k] for k in np.flatnonzero(~reading.present)]
-            raise Halted(Cause.UNREAD, {"sensors": absent, "seconds": self._gap * self.period})
-        away = self.cart - self.home
-        if abs(away) > self.reach:
-            raise Halted(Cause.LEFT, {"reach": self.reach, "away": away, "late": self.late, "ticks": self.tick})
+            unread = [sensors[k] for k in np.flatnonzero(~reading.present)]
+            raise Halted(Cause.UNREAD, {"sensors": unread, "seconds": self._gap * self.period})
+        displacement = self.cart - self.home
+        if abs(displacement) > self.reach:
+            raise Halted(Cause.LEFT, {"reach": self.reach, "away": displacement, "late": self.late, "ticks": self.tick})
         return reading
 
     def follow(self, path: Array, feedforward: Array) -> None:
-        """Follow a path with feedforward and slow feedback.
+        """Move the cart along a path with feedforward and slow feedback.
 
-        Positions (K,) are in m from home, feedforward accelerations (K,) in m/s².
+        Positions (K,) are in m from home, feedforward accelerations (K,) in m/s², one for each tick.
         """
-        for wanted, slope, ahead in zip(path, np.gradient(path, self.period), feedforward, strict=True):
-            self.advance(self.steered(wanted, slope, ahead))
+        for position, velocity, acceleration in zip(path, np.gradient(path, self.period), feedforward, strict=True):
+            self.advance(self.steered(position, velocity, acceleration))
 
     def steered(self, wanted: float, slope: float, ahead: float) -> float:
-        """Return the command for a position and a velocity, m/s².
+        """Return the command, m/s², that steers the cart along a path.
 
-        The position, m, and the velocity, m/s, are relative to home.
+        At this tick the path has position `wanted`, m from home, velocity `slope`, m/s, and acceleration `ahead`, m/s².
         """
-        then = self.positions[max(self.tick - self._span, 0)][-1]
-        velocity = (self.cart - float(then)) / (min(self._span, max(self.tick, 1)) * self.period)
+        earlier_cart = self.positions[max(self.tick - self._span, 0)][-1]
+        velocity = (self.cart - float(earlier_cart)) / (min(self._span, max(self.tick, 1)) * self.period)
         error = self.home + wanted - self.cart
-        pull = _FREQUENCY**2 * error + 2 * _DAMPING * _FREQUENCY * (slope - velocity)
-        return (ahead + pull) / self.gain
+        feedback = _FREQUENCY**2 * error + 2 * _DAMPING * _FREQUENCY * (slope - velocity)
+        return (ahead + feedback) / self.gain
 
     def hold(self, seconds: float) -> None:
-        """Hold the cart at home."""
+        """Hold the cart at home for a number of seconds."""
         self.follow(*np.zeros((2, max(2, round(seconds / self.period)))))
 
     def filled(self, first: int = 0) -> Array:
         """Return the readings (K, n+1) of arms and cart from tick `first`, with gaps interpolated linearly."""
-        rows, present = np.array(self.positions[first:]), np.array(self.present[first:])
+        readings, present = np.array(self.positions[first:]), np.array(self.present[first:])
         if not present.all() and present.any():
-            ticks = np.arange(len(rows))
-            rows = np.stack([np.interp(ticks, ticks[present], v[present]) for v in rows.T], axis=1)
-        return rows
+            ticks = np.arange(len(readings))
+            readings = np.stack([np.interp(ticks, ticks[present], v[present]) for v in readings.T], axis=1)
+        return readings
 
 
 def perform(
     session: RigSession, chirp: tuple[Array, Array], switches: float, *, options: CommissioningSettings, notify: Notify
 ) -> None:
-    """Perform all motions of the cart.
+    """Perform all motions of the cart; the session records readings and commands for the fits.
 
     Args:
         session: the rig.
@@ -231,8 +253,8 @@ def perform(
     session.hold(options.hold)
     session.chirped_from = session.tick
     # A small gain may come from a scale that shows too little, and the cart may then move further than measured.
-    share = min(abs(session.gain), 1.0)
-    session.follow(*(share * part for part in chirp))
+    fraction = min(abs(session.gain), 1.0)
+    session.follow(*(fraction * part for part in chirp))
     session.chirped_to = session.tick
     session.hold(options.ring)
     session.rang_to = session.tick
@@ -246,7 +268,7 @@ def perform(
 
 
 def _look(session: RigSession, options: CommissioningSettings) -> None:
-    """Take readings before any motion."""
+    """Take readings before any motion, and halt if the cart is off the centre or touches a limit switch."""
     if abs(session.home) > _OFF_CENTRE:
         raise Halted(Cause.OFF_CENTRE, {"position": session.home})
     for _ in range(max(4, round(options.look / session.period))):
@@ -256,39 +278,52 @@ def _look(session: RigSession, options: CommissioningSettings) -> None:
 
 
 def _shift(session: RigSession) -> None:
-    """Find the drive's direction and gain, without feedback, which would require them."""
+    """Find the drive's direction and gain by shifts to and fro, without feedback, which would require them.
+
+    The gain is stored in the session.
+
+    Raises:
+        Halted: no shift of the cart is visible.
+    """
     quarter = max(1, round(_SHIFT_SECONDS / 4 / session.period))
     pattern = np.repeat([1.0, -1.0, -1.0, 1.0], quarter) / (quarter * session.period) ** 2
-    after = max(2, round(_AFTER_SHIFT / session.period))
-    wander = float(np.std(signal.detrend(session.filled()[-(len(pattern) + after) :, -1])))
-    seen = 0.0
-    for size, share in _SHIFTS.items():
-        if size < max(_SHIFTS) and _CLEARLY_SEEN * wander > size / 3:
+    settling = max(2, round(_AFTER_SHIFT / session.period))
+    drift = float(np.std(signal.detrend(session.filled()[-(len(pattern) + settling) :, -1])))
+    visible_shift = 0.0
+    for size, most_unexplained in _SHIFTS.items():
+        if size < max(_SHIFTS) and _CLEARLY_SEEN * drift > size / 3:
             continue
         first = session.tick
-        for value in (*(pattern * size), *np.zeros(after)):
-            session.advance(float(value))
+        for command in (*(pattern * size), *np.zeros(settling)):
+            session.advance(float(command))
         carts = session.filled(first)[:, -1]
-        wanted = response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)
+        unit_response = response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)
         # The drive's delay is still unknown, so the best-fitting one is used. The whole shift must be visible.
-        delays = range(0, after + 1, max(1, quarter // 8))
-        shifts = ((signal.detrend(wanted[: len(wanted) - k]), signal.detrend(carts[k:])) for k in delays)
+        delays = range(0, settling + 1, max(1, quarter // 8))
+        shifts = ((signal.detrend(unit_response[: len(unit_response) - k]), signal.detrend(carts[k:])) for k in delays)
         fits: list[Any] = [stats.linregress(*shift) for shift in shifts]
         # Slope and unexplained fraction of the variance.
-        gain, left = min(((fit.slope, 1 - fit.rvalue**2) for fit in fits), key=lambda fit: fit[1])
+        gain, unexplained = min(((fit.slope, 1 - fit.rvalue**2) for fit in fits), key=lambda fit: fit[1])
         opposite = min((1 - fit.rvalue**2 for fit in fits if fit.slope * gain <= 0), default=1.0)
-        seen = abs(gain) * size
-        if seen > _SEEN and abs(gain) * np.std(wanted) > _CLEARLY_SEEN * wander and left < share * opposite:
+        visible_shift = abs(gain) * size
+        if (
+            visible_shift > _SEEN
+            and abs(gain) * np.std(unit_response) > _CLEARLY_SEEN * drift
+            and unexplained < most_unexplained * opposite
+        ):
             session.gain = gain
             return
-    _raise_for_no_shift(session, seen)
+    _raise_for_no_shift(session, visible_shift)
 
 
 def _raise_for_no_shift(session: RigSession, seen: float) -> None:
-    """Raise the cause of an invisible shift; the arms reveal motion of the cart."""
-    wandered = float(np.ptp(session.filled()[:, -1]))
-    if wandered > _SEEN:
-        raise Halted(Cause.WANDERS, {"wander": wandered})
+    """Raise the cause why no shift of the cart is visible: it drifts, its scale is dead, or it stands.
+
+    `seen` is the shift of the best fit, m. The arms' swing reveals a motion of the cart that its scale does not show.
+    """
+    drift = float(np.ptp(session.filled()[:, -1]))
+    if drift > _SEEN:
+        raise Halted(Cause.WANDERS, {"wander": drift})
     for _ in range(round(1.0 / session.period)):
         session.advance(0.0)
     commanded = response(np.array([*session.commands, 0.0]), session.period, 0.0)
@@ -298,14 +333,18 @@ def _raise_for_no_shift(session: RigSession, seen: float) -> None:
 
 
 def _wait_until_still(session: RigSession, options: CommissioningSettings, notify: Notify) -> None:
-    """Hold the cart until the arms hardly swing."""
+    """Hold the cart until the arms hardly swing.
+
+    Raises:
+        Halted: they still swing after the time limit.
+    """
     attempts, swing = math.floor(options.wait / _WATCHED) + 1, 0.0
     for attempt in range(attempts):
         if attempt == 1:
             notify(f"the arms swing by ±{swing:.2g} rad: hold them still; waiting for up to {options.wait:g} s")
-        first = session.tick
+        first_tick = session.tick
         session.hold(_WATCHED)
-        swing = float(np.ptp(session.filled(first)[:, :-1], axis=0).max()) / 2
+        swing = float(np.ptp(session.filled(first_tick)[:, :-1], axis=0).max()) / 2
         if swing <= options.still:
             return
     raise Halted(Cause.SWINGING, {"swing": swing, "seconds": attempts * _WATCHED})
@@ -314,6 +353,8 @@ def _wait_until_still(session: RigSession, options: CommissioningSettings, notif
 def chirp_of(arms: ArmChainParameters, period: float, options: CommissioningSettings) -> tuple[Array, Array]:
     """Return the positions (K,) m and accelerations (K,) m/s² of a logarithmic chirp.
 
+    Its low frequencies make the arms swing, and its high ones show the delay of the drive.
+
     Args:
         arms: parameters of the arms, whose lowest frequency begins the chirp.
         period: control period, s.
@@ -321,37 +362,45 @@ def chirp_of(arms: ArmChainParameters, period: float, options: CommissioningSett
     """
     low = 0.6 * float(modes(arms).frequencies.min()) / (2 * np.pi)
     high, finer = min(options.highest, 0.1 / period), 8
-    t = np.arange(round(options.sweep / period) * finer + 1) * period / finer
-    frequency = 2 * np.pi * low * (high / low) ** (t / options.sweep)
-    fade = np.clip(np.minimum(t, options.sweep - t) / min(0.5, options.sweep / 8), 0, 1)
-    size = np.minimum(options.amplitude, options.push / frequency**2) * np.sin(np.pi / 2 * fade) ** 2
-    x = size * signal.chirp(t, low, options.sweep, high, method="logarithmic", phi=-90)
-    v = np.gradient(x, t)
-    v[[0, -1]] = 0.0
-    return x[:-1:finer], np.diff(v[::finer]) / period
+    times = np.arange(round(options.sweep / period) * finer + 1) * period / finer
+    frequency = 2 * np.pi * low * (high / low) ** (times / options.sweep)
+    fade = np.clip(np.minimum(times, options.sweep - times) / min(0.5, options.sweep / 8), 0, 1)
+    amplitudes = np.minimum(options.amplitude, options.push / frequency**2) * np.sin(np.pi / 2 * fade) ** 2
+    # Computed on a finer grid than the ticks, for the derivatives of the highest frequency.
+    positions = amplitudes * signal.chirp(times, low, options.sweep, high, method="logarithmic", phi=-90)
+    velocities = np.gradient(positions, times)
+    velocities[[0, -1]] = 0.0
+    return positions[:-1:finer], np.diff(velocities[::finer]) / period
 
 
 def _creep(session: RigSession, side: int, most: float, speed: float) -> tuple[int, float]:
-    """Move to a side until a switch responds or the distance is covered; return response and position."""
-    period, wanted, slope = session.period, 0.0, 0.0
-    answer, at, braking = 0, 0.0, False
+    """Move to a side until a switch responds or the distance is covered, and brake.
+
+    `side` is 1 for right or -1 for left, `most` the distance from home, m, `speed` in m/s. Return the switch's response
+    (-1, 0 or 1) and the cart's position then, m from home.
+    """
+    period, target, target_speed = session.period, 0.0, 0.0
+    answer, position, braking = 0, 0.0, False
     while True:
-        change = max(-_STOPPING, -slope / period) if braking else min(_ACCELERATE, (speed - slope) / period)
-        slope += change * period
-        wanted += slope * period
-        reading = session.advance(session.steered(side * wanted, side * slope, side * change))
+        change = (
+            max(-_STOPPING, -target_speed / period) if braking else min(_ACCELERATE, (speed - target_speed) / period)
+        )
+        target_speed += change * period
+        target += target_speed * period
+        reading = session.advance(session.steered(side * target, side * target_speed, side * change))
         if not braking:
-            answer, at = reading.switch, session.cart - session.home
-            braking = bool(answer) or abs(at) >= most or wanted > most
-        elif slope < 1e-9:
-            return answer, at
+            answer, position = reading.switch, session.cart - session.home
+            braking = bool(answer) or abs(position) >= most or target > most
+        elif target_speed < 1e-9:
+            return answer, position
 
 
 def _return(session: RigSession, options: CommissioningSettings) -> None:
-    """Move the cart back to its home smoothly."""
-    away = session.cart - session.home
-    duration = max(1.875 * abs(away) / (2 * options.creep), 0.5)
-    s = np.linspace(0, 1, max(3, round(duration / session.period)))
-    path = away * (1 - s**3 * (10 - 15 * s + 6 * s**2))
+    """Move the cart back to its home smoothly, on a polynomial without jumps of velocity and acceleration."""
+    displacement = session.cart - session.home
+    duration = max(1.875 * abs(displacement) / (2 * options.creep), 0.5)
+    shares = np.linspace(0, 1, max(3, round(duration / session.period)))
+    # The polynomial of degree five from 1 to 0, flat at both ends.
+    path = displacement * (1 - shares**3 * (10 - 15 * shares + 6 * shares**2))
     session.follow(path, np.gradient(np.gradient(path, session.period), session.period))
     session.hold(0.3)

@@ -72,7 +72,7 @@ class Kind(IntEnum):
 
 
 class Condition(IntEnum):
-    """Condition of the bench."""
+    """Condition of the bench, which each reading reports."""
 
     WELL = 0
     FAULT = 1
@@ -84,7 +84,7 @@ class Condition(IntEnum):
 
 
 class Role(Enum):
-    """One of the two ends."""
+    """One of the two ends, loop or bench; a seal depends on it."""
 
     LOOP = b"loop"
     BENCH = b"bench"
@@ -106,7 +106,7 @@ class Welcome(NamedTuple):
 
 
 class ReadingPacket(NamedTuple):
-    """Readings of the sensors at `tick`."""
+    """Readings of the sensors at `tick`, and the bench's condition."""
 
     tick: int
     positions: tuple[float, ...]
@@ -156,7 +156,7 @@ class ReceivedPacket(NamedTuple):
 
 
 def _body(message: Message) -> tuple[Kind, int, bytes]:
-    """Return kind, count and body of a packet."""
+    """Return kind, count and body of a packet, the parts after magic and version that depend on the message."""
     match message:
         case Welcome():
             return Kind.WELCOME, message.arms, _WELCOME.pack(*message[1:])
@@ -165,19 +165,19 @@ def _body(message: Message) -> tuple[Kind, int, bytes]:
         case CommandPacket():
             return Kind.COMMAND, 0, _COMMAND.pack(*message)
         case Bye(text):
-            said = text.encode()[:_LONGEST_TEXT]
-            return Kind.BYE, len(said), said
+            sentence = text.encode()[:_LONGEST_TEXT]
+            return Kind.BYE, len(sentence), sentence
         case ReadingPacket(tick, positions, heard, held, trip, switch, condition, text, ignored, age):
-            said, age = text.encode()[:_LONGEST_TEXT], () if age is None else (age,)
+            sentence, age = text.encode()[:_LONGEST_TEXT], () if age is None else (age,)
             heard, ignored = NO_TICK if heard < 0 else heard, min(ignored, NO_TICK)
-            head = _READING.pack(tick, heard, held, ignored, trip, switch, condition, len(said))
-            rest = struct.pack(f"<{len(positions)}d{len(said)}s{len(age)}d", *positions, said, *age)
-            return Kind.READING, len(positions) - 1, head + rest
+            numbers = _READING.pack(tick, heard, held, ignored, trip, switch, condition, len(sentence))
+            tail = struct.pack(f"<{len(positions)}d{len(sentence)}s{len(age)}d", *positions, sentence, *age)
+            return Kind.READING, len(positions) - 1, numbers + tail
     return message, 0, b""
 
 
 def packed(message: Message, role: Role, *, session: int, sequence: int, key: bytes = b"") -> bytes:
-    """Return the encoded packet, sealed if there is a key.
+    """Return the packet of a message as bytes, sealed if there is a key.
 
     Args:
         message: packet to encode.
@@ -192,11 +192,15 @@ def packed(message: Message, role: Role, *, session: int, sequence: int, key: by
 
 
 def _seal(data: bytes, role: Role, key: bytes) -> bytes:
+    """Return the seal (16 bytes) of a packet that an end sends, by which the other end recognises forged packets.
+
+    `data` is the packet before the seal, and `role` the end that sends it.
+    """
     return hmac.digest(key, role.value + data, "sha256")[:_SEAL]
 
 
 def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
-    """Return head and content of a packet after checking its seal.
+    """Return session, number and message of a packet after checking its seal.
 
     Args:
         data: the received bytes.
@@ -220,7 +224,13 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
 
 
 def _message(kind: Kind, body: bytes, count: int) -> Message:
-    """Return the content of a packet, whose body must have the length that its numbers require."""
+    """Return the message in the body of a packet, which must have the length that its numbers require.
+
+    `count` is the count in the packet's head, see the table at the head of this module.
+
+    Raises:
+        struct.error: another length, or a switch other than -1, 0 and 1.
+    """
     match kind:
         case Kind.WELCOME:
             return Welcome(count, *_WELCOME.unpack(body))
@@ -232,31 +242,41 @@ def _message(kind: Kind, body: bytes, count: int) -> Message:
             return Bye(*(text.decode() for text in struct.unpack(f"<{count}s", body)))
         case Kind.READING:
             *_, size = _READING.unpack_from(body)
-            form = f"{_READING.format}{count + 1}d{size}s"
-            aged = len(body) > struct.calcsize(form)
-            tick, heard, held, ignored, trip, switch, condition, _, *rest = struct.unpack(form + "d" * aged, body)
+            layout = f"{_READING.format}{count + 1}d{size}s"
+            has_age = len(body) > struct.calcsize(layout)
+            tick, heard, held, ignored, trip, switch, condition, _, *values = struct.unpack(
+                layout + "d" * has_age, body
+            )
             if abs(switch) > 1:
                 raise struct.error(f"a switch of {switch}")
-            heard, text, age = -1 if heard == NO_TICK else heard, rest[count + 1].decode(), rest[-1] if aged else None
-            positions = tuple(rest[: count + 1])
+            heard, text, age = (
+                -1 if heard == NO_TICK else heard,
+                values[count + 1].decode(),
+                values[-1] if has_age else None,
+            )
+            positions = tuple(values[: count + 1])
             return ReadingPacket(tick, positions, heard, held, trip, switch, Condition(condition), text, ignored, age)
     struct.unpack("", body)
     return kind
 
 
 class Talk:
-    """One end of a session.
+    """One end of a session: numbers and seals its packets, and checks those received.
 
-    Numbers and seals its packets, and checks those received.
+    Args:
+        role: this end.
+        session: number of the session.
+        key: shared key, b"" for none.
     """
 
     def __init__(self, role: Role, session: int, *, key: bytes = b"") -> None:
         self._role, self._session, self._key = role, session, key
         self._other = Role.BENCH if role is Role.LOOP else Role.LOOP
+        # Sequence numbers of the last packet sent, and of the newest one received.
         self._sequence = self._newest = 0
 
     def pack(self, message: Message) -> bytes:
-        """Return the encoded packet of a message.
+        """Return the packet of a message as bytes, with the next sequence number.
 
         Args:
             message: packet to send.
@@ -265,7 +285,7 @@ class Talk:
         return packed(message, self._role, session=self._session, sequence=self._sequence, key=self._key)
 
     def unpack(self, data: bytes) -> ReceivedPacket:
-        """Return a received packet.
+        """Return a received packet after all checks.
 
         Args:
             data: the received bytes.
@@ -274,13 +294,13 @@ class Talk:
             ValueError: the packet belongs to another session, its number is not above all earlier ones, or it is
                 invalid as described in `unpacked`.
         """
-        heard = unpacked(data, self._other, key=self._key)
-        if heard.session != self._session:
+        packet = unpacked(data, self._other, key=self._key)
+        if packet.session != self._session:
             raise ValueError("a packet does not belong to this run")
-        if heard.sequence <= self._newest:
+        if packet.sequence <= self._newest:
             raise ValueError("a packet came again or after a newer one")
-        self._newest = heard.sequence
-        return heard
+        self._newest = packet.sequence
+        return packet
 
 
 KEY_VARIABLE = "DPCONTROL_RIG_KEY"
@@ -289,7 +309,7 @@ SHORTEST_KEY = 16
 
 
 def shared_key(file: Path | None = None) -> bytes:
-    """Return the shared key, or b"" without one.
+    """Return the key that both ends share, or b"" without one.
 
     Surrounding blanks are removed.
 
@@ -299,16 +319,16 @@ def shared_key(file: Path | None = None) -> bytes:
     Raises:
         InputError: the file cannot be read, or the key is too short.
     """
-    where = f"--key-file {file}" if file else KEY_VARIABLE
+    source = f"--key-file {file}" if file else KEY_VARIABLE
     if file is None and KEY_VARIABLE not in os.environ:
         return b""
     try:
         key = (checked_source(file).read_bytes() if file else os.fsencode(os.environ[KEY_VARIABLE])).strip()
     except OSError as error:
-        raise InputError(f"{where}: {error.strerror or error}; give a file that contains the key") from error
+        raise InputError(f"{source}: {error.strerror or error}; give a file that contains the key") from error
     if len(key) < SHORTEST_KEY:
         raise InputError(
-            f"{where}: a key of {len(key)} bytes is too short; at least {SHORTEST_KEY} are needed, as from "
+            f"{source}: a key of {len(key)} bytes is too short; at least {SHORTEST_KEY} are needed, as from "
             "`openssl rand -hex 32`"
         )
     return key
@@ -317,7 +337,7 @@ def shared_key(file: Path | None = None) -> bytes:
 def resolved(
     host: str, port: int, *, name: str, key: bytes, insecure: bool, family: int = 0
 ) -> tuple[int, tuple[Any, ...]]:
-    """Return address family and socket address of a host.
+    """Return address family and socket address of a host, and require a key if other computers can reach it.
 
     Args:
         host: name or address of the host.

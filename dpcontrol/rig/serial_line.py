@@ -36,7 +36,7 @@ def parse_line(text: str) -> tuple[str, int]:
 
 
 def framed(packet: bytes) -> bytes:
-    """Return the frame of a packet.
+    """Return the frame of a packet, whose begin and end a receiver finds in the stream of bytes.
 
     Args:
         packet: encoded packet.
@@ -59,7 +59,7 @@ def unframed(frame: bytes) -> bytes:
 
 
 class SerialLine:
-    """Channel of packets over a serial device.
+    """Channel of packets over a serial device, with the interface of a socket that `PacketRig` uses.
 
     Args:
         path: device, such as /dev/ttyACM0.
@@ -80,7 +80,7 @@ class SerialLine:
         self._waiting = b""
 
     def send(self, data: bytes) -> None:
-        """Send a packet.
+        """Send a packet in its frame.
 
         Args:
             data: encoded packet.
@@ -99,17 +99,17 @@ class SerialLine:
         if b"\0" not in self._waiting:
             self._waiting += self._port.read(most)
         while self._waiting:
-            frame, end, rest = self._waiting.partition(b"\0")
+            frame, end, following = self._waiting.partition(b"\0")
             if not end:
                 break
-            self._waiting = rest
+            self._waiting = following
             if frame:
                 return unframed(frame)
         self._waiting = self._waiting[:most]
         raise BlockingIOError
 
     def fileno(self) -> int:
-        """Return the number by which the system waits for bytes."""
+        """Return the file descriptor, by which `select` waits for bytes."""
         return self._port.fileno()
 
     def close(self) -> None:
@@ -118,7 +118,7 @@ class SerialLine:
 
 
 class SerialRig(PacketRig):
-    """A bench over a serial line.
+    """A bench over a serial line as a `Rig` and context manager.
 
     Args:
         address: serial://PATH?baud=RATE.

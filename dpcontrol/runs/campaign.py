@@ -91,6 +91,7 @@ from dpcontrol.runs.troubles import LEVELS, STANDARD
 pq, pc = Later("pyarrow.parquet"), Later("pyarrow.compute")
 
 Row = dict[str, Any]
+"""Values of one run by the names of `COLUMNS`."""
 
 COLUMNS: dict[str, str] = {
     "itinerary": "string",
@@ -133,7 +134,13 @@ _ONE_AT_A_TIME = threading.Lock()
 
 @dataclass(frozen=True)
 class Case(Brief):
-    """One combination of varied values: its label, the values by name, and the loop's settings."""
+    """One combination of varied values.
+
+    Attributes:
+        label: the values in one line, which identifies the case in the table.
+        values: names and shown values.
+        loop: settings of the case's runs.
+    """
 
     label: str
     values: tuple[tuple[str, float | str], ...]
@@ -142,10 +149,14 @@ class Case(Brief):
 
 @dataclass(frozen=True)
 class Job:
-    """Seeds of one case.
+    """Seeds of one case, which a worker runs at once.
 
     Attributes:
+        itinerary: name of the itinerary.
         reference: archive of the plan.
+        arms: parameters of the model's arms.
+        case: the case.
+        seeds: seeds of the runs.
         path: "compiled" for many seeds in lockstep, or "ticks".
         uncertainty: uncertainty of the arms, for cases that draw their plants from it.
         replayed: number of failures in lockstep that are run again tick by tick.
@@ -164,7 +175,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Hash of the job's inputs, as 16 hexadecimal digits."""
+        """Hash of the job's inputs, as 16 hexadecimal digits, by which finished jobs are found again."""
         # The repr of a case is one line without its settings.
         return content_hash(
             self.reference, repr(self), repr(self.case.values), repr(self.case.loop), f"running {RUNNING}"
@@ -173,6 +184,13 @@ class Job:
 
 @lru_cache(maxsize=8)
 def _prepared(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Assembly:
+    """Return the parts of the closed loop for settings that decide the controller, built once in each process.
+
+    Args:
+        archive: archive of the plan.
+        arms: parameters of the model's arms.
+        loop: settings of the runs.
+    """
     reference = load_reference(io.BytesIO(archive))
     assembly = Assembly(reference, arms, loop, stays=stays(reference))
     _ = assembly.controller, assembly.fallback
@@ -180,7 +198,7 @@ def _prepared(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> A
 
 
 def run_job(job: Job) -> list[Row]:
-    """Run a job's seeds and return their rows in order.
+    """Run a job's seeds, in lockstep if possible, and return their rows in order.
 
     Args:
         job: seeds of one case.
@@ -195,6 +213,7 @@ def run_job(job: Job) -> list[Row]:
         mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
 
         def tick_by_tick(seed: int, mismatch: float) -> Row:
+            """Return the row of one seed that runs alone, without lockstep or after a departure from it."""
             events = Events()
             result = assembly.simulate(draw=assembly.draw(seed=seed, mismatch=mismatch), sink=events)
             row = _row(job, reference, seed, BatchRun.of(result), path="ticks")
@@ -207,11 +226,13 @@ def run_job(job: Job) -> list[Row]:
             tick_by_tick(seed, mismatch) if run.departed else _row(job, reference, seed, run, path="compiled")
             for seed, mismatch, run in zip(job.seeds, mismatches, runs, strict=True)
         ]
-        alike = zip(rows, mismatches, strict=True)
-        failed = [
-            (row, run_mismatch) for row, run_mismatch in alike if not row["completed"] and row["path"] == "compiled"
+        rows_and_mismatches = zip(rows, mismatches, strict=True)
+        failures = [
+            (row, run_mismatch)
+            for row, run_mismatch in rows_and_mismatches
+            if not row["completed"] and row["path"] == "compiled"
         ]
-        for row, mismatch in failed[: job.replayed]:
+        for row, mismatch in failures[: job.replayed]:
             # A listed failure should also fail when its seed is run separately. For laws with internal timing,
             # rounding decides a few runs.
             row["replays"] = not tick_by_tick(row["seed"], mismatch)["completed"]
@@ -219,22 +240,32 @@ def run_job(job: Job) -> list[Row]:
 
 
 def _assembled(job: Job) -> Assembly:
+    """Return the parts of a job's closed loop; jobs whose cases differ only in the bench share the controller."""
     loop = job.case.loop
     # By the inputs of a controller: cases that differ only in the bench share one.
-    decisive = LoopSettings(
+    controller_inputs = LoopSettings(
         seed=0, rate=loop.rate, drive_lag=loop.known_lag, keep=loop.keep, controller=loop.controller,
         estimator=loop.estimator, encoders=loop.encoders,
         supervisor=loop.supervisor, start=loop.start,
     )  # fmt: skip
-    return replace(_prepared(job.reference, job.arms, decisive).under(loop), uncertainty=job.uncertainty)
+    return replace(_prepared(job.reference, job.arms, controller_inputs).under(loop), uncertainty=job.uncertainty)
 
 
 def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:
+    """Return the row of one run for the campaign's table: its verdict against the plan, and figures.
+
+    Args:
+        job: job of the run.
+        reference: reference of the plan.
+        seed: seed of the run.
+        run: the run.
+        path: "compiled" or "ticks".
+    """
     loop = job.case.loop
-    flown = Flown.of(run, rate_hz=loop.rate, limits=loop.limits(reference.limits))
-    verdict = verdict_on(flown, reference)
+    motion = Flown.of(run, rate_hz=loop.rate, limits=loop.limits(reference.limits))
+    verdict = verdict_on(motion, reference)
     symbols = [symbol.text for symbol in reference.content.symbols]
-    away = flown.angles - flown.reference_angles
+    tracking_error = motion.angles - motion.reference_angles
     return {
         "itinerary": job.itinerary,
         "case": job.case.label,
@@ -250,7 +281,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         "cause": verdict.cause,
         "reason": "" if verdict.completed else verdict.reason,
         "simulated_seconds": float(run.times[-1]),
-        "rms_tracking_error": math.sqrt(float(np.mean(away**2))),
+        "rms_tracking_error": math.sqrt(float(np.mean(tracking_error**2))),
         "max_cart_position": float(np.abs(run.truth[:, -2]).max()),
         "rms_cart_acceleration": math.sqrt(float(np.mean(run.applied**2))),
         "rms_feedback": run.rms_feedback,
@@ -262,14 +293,19 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
 
 
 def _schema(cases: Sequence[Case], record: Mapping[str, Any]) -> "pa.Schema":
-    """Return the columns of a campaign's tables, with those of the varied numbers, and their metadata."""
-    varied = dict.fromkeys((name for case in cases for name in _numbers(case)), "double")
-    fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **varied}.items()]
+    """Return the columns of a campaign's tables, with those of the varied numbers.
+
+    The table's metadata hold `record`, by which a campaign is recognised when it is continued.
+    """
+    varied_columns = dict.fromkeys((name for case in cases for name in _numbers(case)), "double")
+    fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **varied_columns}.items()]
     return pa.schema(fields, metadata={METADATA: json.dumps(record).encode()})
 
 
 MOST_RUNS = 1_000_000
+"""Largest number of runs of a case."""
 MOST_CASES = 10_000
+"""Largest number of cases of a campaign."""
 MOST_PAIRED = 6
 """Largest number of cases that are compared in pairs."""
 MOST_TICKS = 5_000_000
@@ -300,10 +336,14 @@ class CampaignSettings(Settings, table="campaign"):
 
 @dataclass(frozen=True)
 class CaseResult(Brief):
-    """Runs of one case.
+    """Runs of one case: the completed ones as a share, the others as rows.
 
-    The number completed and the rows of the others. returned: median of the times to the itinerary, s, and the time
-    within which 99 % of the runs returned, or None without returns.
+    Attributes:
+        case: the case.
+        completed: share of completed runs.
+        failed: rows of the other runs, as Arrow columns.
+        returned: median of the times to the itinerary, s, and the time within which 99 % of the runs returned, or None
+            without returns.
     """
 
     case: Case
@@ -432,21 +472,25 @@ class Campaign(Shown):
         ]
         cases = [
             {
-                "case": r.case.label,
-                **dict(r.case.values),
-                **share_document(r.completed),
-                "returned": r.returned,
-                "failures": r.failed.select(columns).to_pylist(),
+                "case": result.case.label,
+                **dict(result.case.values),
+                **share_document(result.completed),
+                "returned": result.returned,
+                "failures": result.failed.select(columns).to_pylist(),
             }
-            for r in self.results
+            for result in self.results
         ]
         # A single case has the campaign's figures. With several cases, the figures are those of all runs together.
         return {
             "itinerary": self.itinerary,
             **share_document(self.completed),
-            "failures": [{**f, "case": c["case"]} for c in cases for f in c["failures"]],
+            "failures": [
+                {**failure, "case": case_document["case"]}
+                for case_document in cases
+                for failure in case_document["failures"]
+            ],
             "cases": cases,
-            "pairs": [{"first": a, "second": b, **asdict(pair)} for a, b, pair in self.pairs],
+            "pairs": [{"first": first, "second": second, **asdict(pair)} for first, second, pair in self.pairs],
             "transitions": self.transitions,
             "standard": [score.document() for score in self.standard],
             "seconds": self.seconds,
@@ -456,7 +500,7 @@ class Campaign(Shown):
 
 
 def share_document(share: Share) -> dict[str, Any]:
-    """Return a share as JSON values.
+    """Return counts, rate and interval of a share under the keys of the JSON output.
 
     Args:
         share: number of runs and of completed ones.
@@ -465,7 +509,7 @@ def share_document(share: Share) -> dict[str, Any]:
 
 
 def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[str, Any]) -> tuple[Case, ...]:
-    """Return every combination of varied values as a case.
+    """Return every combination of varied values as a case, whose settings have been checked.
 
     Names are paths of a run's settings. A value that is not a list counts as a single value.
 
@@ -486,30 +530,33 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
         raise InputError(f"over: {count:,} cases, every combination of the values; at most {MOST_CASES:,} are compared")
     cases = []
     for values in itertools.product(*(zip(choices, _shown(choices), strict=True) for choices in over.values())):
-        varied = itinerary.with_run(
+        varied_itinerary = itinerary.with_run(
             {**canonical(fixed), **canonical({name: value for name, (value, _) in zip(names, values, strict=True)})}
         )
-        varied.check_parts(itinerary)
-        chosen = {name: shown for name, (_, shown) in zip(names, values, strict=True)}
-        label = ", ".join(f"{k}={v:.12g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
+        varied_itinerary.check_parts(itinerary)
+        shown_values = {name: shown for name, (_, shown) in zip(names, values, strict=True)}
+        label = ", ".join(
+            f"{key}={number:.12g}" if isinstance(number, float) else f"{key}={number}"
+            for key, number in shown_values.items()
+        )
         if any(label == case.label for case in cases):
             raise InputError(f"over: {label} is listed twice; list each value once")
-        cases.append(Case(label or "as planned", tuple(chosen.items()), varied.loop))
+        cases.append(Case(label or "as planned", tuple(shown_values.items()), varied_itinerary.loop))
     return tuple(cases)
 
 
 def _shown(values: Sequence[Any]) -> list[Any]:
-    """Return the values for display: objects by name, and a repeated name numbered from the second object on."""
-    out: list[Any] = []
+    """Return names of values for labels and tables: objects by their class, numbered if two share a name."""
+    names: list[Any] = []
     for choice in values:
         # Numbers of numpy are shown as Python's, and lists as the command line takes them.
         value = "as planned" if choice is None else choice.item() if isinstance(choice, np.generic) else choice
         value = f"[{','.join(map(str, value))}]" if is_list(value) else value
-        plain = isinstance(value, int | float | str)
-        name = value if plain else getattr(value, "__name__", type(value).__name__)
-        same = 0 if plain else sum(str(shown).partition(" ")[0] == name for shown in out)
-        out.append(f"{name} {same + 1}" if same else name)
-    return out
+        is_plain = isinstance(value, int | float | str)
+        name = value if is_plain else getattr(value, "__name__", type(value).__name__)
+        namesakes = 0 if is_plain else sum(str(shown).partition(" ")[0] == name for shown in names)
+        names.append(f"{name} {namesakes + 1}" if namesakes else name)
+    return names
 
 
 def transitions_of(plan: Plan) -> tuple[Plan, ...]:
@@ -524,30 +571,31 @@ def transitions_of(plan: Plan) -> tuple[Plan, ...]:
         InputError: there is none.
     """
     itinerary, reference, content = plan.itinerary, plan.reference, plan.content
-    ends = [0.0, *(time for way in content.transfers for time in way), float(reference.mesh[-1])]
+    transfer_times = [0.0, *(time for transfer in content.transfers for time in transfer), float(reference.mesh[-1])]
     transitions: list[Plan] = []
-    for k, way in content.transitions():
+    for k, transfer in content.transitions():
         symbol = content.symbols[k]
         name = f"{symbol.source} to {symbol.target}"
-        begin, end = ends[2 * way], ends[2 * way + 3]
+        # The times alternate between ends and begins of transfers, so a part includes the holds beside its transfer.
+        begin, end = transfer_times[2 * transfer], transfer_times[2 * transfer + 3]
         first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
-        part = replace(
+        part_content = replace(
             content,
             itinerary=name,
             title=name,
             wraps=(),
             stops=content.stops[k : k + 2],
             symbols=(replace(symbol, time=symbol.time - begin),),
-            transfers=((ends[2 * way + 1] - begin, ends[2 * way + 2] - begin),),
+            transfers=((transfer_times[2 * transfer + 1] - begin, transfer_times[2 * transfer + 2] - begin),),
         )
-        alone = replace(
+        part_reference = replace(
             reference,
             mesh=reference.mesh[first : last + 1] - begin,
             states=reference.states[first:last],
             inputs=reference.inputs[first:last],
-            plan=part,
+            plan=part_content,
         )
-        transitions.append(Plan(replace(itinerary, name=name, title=name), alone, plan.file, cached=True))
+        transitions.append(Plan(replace(itinerary, name=name, title=name), part_reference, plan.file, cached=True))
     if not transitions:
         raise InputError(f"{itinerary.name} has no transitions: they lead from one equilibrium to another; see twelve")
     return tuple(transitions)
@@ -564,7 +612,7 @@ def run_campaign(
     progress: Progress = no_progress,
     yes: bool = False,
 ) -> Campaign:
-    """Run every case on every seed and write the rows.
+    """Run every case on every seed, write the rows, and return the shares of completed runs.
 
     If it is interrupted, finished jobs stay in the table, and the next call continues from them.
 
@@ -583,7 +631,7 @@ def run_campaign(
         GoalMissed: the plan did not converge, or a process died.
     """
     part("pyarrow")
-    began = time.perf_counter()
+    start = time.perf_counter()
     plans = transitions_of(plan) if transitions else (plan.followed(),)
     announce(_cost(plans, cases, settings), yes=yes)
     if transitions and any(case.loop.supervisor.on_fall != "stop" for case in cases):
@@ -598,36 +646,43 @@ def run_campaign(
         folder = Path(scratch) if file is None else file
         _run_missing(jobs, folder, _schema(cases, record), workers=workers, progress=progress)
         table = campaign_table(folder)
-    alone = {
+    transition_ends = {
         content.itinerary: (content.symbols[0].source, content.symbols[0].target, float(np.ptp(content.transfers[0])))
         for content in (each_plan.content for each_plan in plans if transitions)
     }
-    summary = _summary(plan.itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
-    return replace(summary, alone=alone)
+    summary = _summary(plan.itinerary.name, cases, table, seconds=time.perf_counter() - start, file=file)
+    return replace(summary, alone=transition_ends)
 
 
 def _run_missing(jobs: Sequence[Job], folder: Path, schema: "pa.Schema", *, workers: int, progress: Progress) -> None:
     """Run the jobs whose rows are not in the folder, and write the rows of each job to a separate file.
 
     Files are numbered in the order of the jobs; files of jobs that are not in this campaign are removed.
+
+    Args:
+        jobs: all jobs of the campaign.
+        folder: folder of the table.
+        schema: columns of the table.
+        workers: number of processes.
+        progress: receiver of progress reports.
     """
-    places = {job.key: folder / f"{k:06d}-{job.key}.parquet" for k, job in enumerate(jobs)}
-    for stored in folder.glob("*.parquet"):
-        place = places.get(stored.stem.partition("-")[2])
-        if place is None:
-            stored.unlink()
+    files = {job.key: folder / f"{k:06d}-{job.key}.parquet" for k, job in enumerate(jobs)}
+    for existing_file in folder.glob("*.parquet"):
+        job_file = files.get(existing_file.stem.partition("-")[2])
+        if job_file is None:
+            existing_file.unlink()
         else:
-            stored.replace(place)
-    left = [job for job in jobs if not places[job.key].exists()]
-    laws = {job.case.loop.controller.kind: job for job in reversed(left)}
+            existing_file.replace(job_file)
+    missing_jobs = [job for job in jobs if not files[job.key].exists()]
+    job_of_law = {job.case.loop.controller.kind: job for job in reversed(missing_jobs)}
     # If one of several laws does not fit the plan, no run begins.
-    for job in laws.values() if len(laws) > 1 else ():
+    for job in job_of_law.values() if len(job_of_law) > 1 else ():
         _assembled(job)
-    within = part_of(progress, 1 - len(left) / len(jobs), 1.0)
-    for job, rows in in_processes(run_job, left, workers, what="jobs", progress=within):
+    job_progress = part_of(progress, 1 - len(missing_jobs) / len(jobs), 1.0)
+    for job, rows in in_processes(run_job, missing_jobs, workers, what="jobs", progress=job_progress):
         table, data = pa.Table.from_pylist([{**row, **_numbers(job.case)} for row in rows], schema=schema), io.BytesIO()
         pq.write_table(table, data, compression="zstd", write_page_checksum=True)
-        write_whole(places[job.key], data.getvalue())
+        write_whole(files[job.key], data.getvalue())
 
 
 def check_table(file: Path, record: Mapping[str, Any]) -> None:
@@ -644,33 +699,42 @@ def check_table(file: Path, record: Mapping[str, Any]) -> None:
         return
     try:
         table = campaign_table(file)
-        existing = json.loads(table.schema.metadata[METADATA])
+        existing_record = json.loads(table.schema.metadata[METADATA])
         seeds = pc.min_max(table["seed"]).as_py()
     except (InputError, LookupError, TypeError) as error:
         raise in_the_way(file, "is no table of a campaign, or was changed after it was written") from error
-    first, same = record["settings"]["first_seed"], all(existing.get(key) == record.get(key) for key in _DECISIVE)
-    if not (same and first <= seeds["min"] and seeds["max"] < first + record["settings"]["runs"]):
+    first, is_same_campaign = (
+        record["settings"]["first_seed"],
+        all(existing_record.get(key) == record.get(key) for key in _DECISIVE),
+    )
+    if not (is_same_campaign and first <= seeds["min"] and seeds["max"] < first + record["settings"]["runs"]):
         raise in_the_way(file, "holds another campaign, or more runs of this one")
 
 
 _DECISIVE = ("itinerary", "model", "scene_hash", "model_hash", "path", "cases", "transitions")
+"""Entries of a campaign's record that must agree for a table to be continued."""
 
 
 _PACES = {"compiled": 100.0, "ticks": 5.0}
 """Speed of one process relative to real time, by path, at 1 kHz."""
 _ROW_BYTES = 1000.0
+"""Memory of a row of the table, bytes."""
 
 
 def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettings) -> Cost:
-    """Estimate the cost of a whole campaign on this machine, or on as many processes of a cluster."""
+    """Return the estimated time and memory of a campaign on this machine; the user must agree to a large one."""
     runs = settings.runs * len(cases) * len(plans)
     ticks = settings.runs * sum(case.loop.rate for case in cases) * sum(plan.reference.duration for plan in plans)
-    lasting = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())
+    seconds = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())
     key = f"{runs:,} runs of {len(cases):,} case{'s' if len(cases) > 1 else ''}"
-    return Cost(f"{ticks:,.2g} ticks of the loop", lasting, _ROW_BYTES * runs, key)
+    return Cost(f"{ticks:,.2g} ticks of the loop", seconds, _ROW_BYTES * runs, key)
 
 
 def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list[Job]:
+    """Return the jobs of a plan's cases, each with as many seeds as fit in a worker's memory.
+
+    A job that runs tick by tick has fewer seeds, so that a killed campaign loses little.
+    """
     archive = plan.archive
     seeds = range(settings.first_seed, settings.first_seed + settings.runs)
     # Batches do not depend on the number of runs, so that a longer campaign reuses the jobs of a shorter one.
@@ -689,13 +753,14 @@ def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list
 
 
 def _numbers(case: Case) -> dict[str, float]:
+    """Return the varied numbers of a case, which become columns of the table; the mismatch has its own column."""
     return {name: float(value) for name, value in case.values if not isinstance(value, str) and name != "mismatch"}
 
 
 def campaign_record(
     itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSettings, *, transitions: bool = False
 ) -> dict[str, Any]:
-    """Return the metadata that identify a campaign before it starts.
+    """Return the metadata that identify a campaign before it starts, so that it can be continued later.
 
     Args:
         itinerary: itinerary of all cases.
@@ -717,28 +782,45 @@ def campaign_record(
 
 
 def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: float, file: Path | None) -> Campaign:
-    done = table["completed"].to_numpy()
+    """Return the campaign's result from the rows of all runs: shares by case, and cases compared in pairs.
 
-    def of(case: Case) -> NDArray[np.bool_]:
+    Args:
+        name: name of the itinerary.
+        cases: cases in order.
+        table: rows of all runs.
+        seconds: duration of the campaign, s.
+        file: folder of the table, if it was written.
+    """
+    completed = table["completed"].to_numpy()
+
+    def rows_of_case(case: Case) -> NDArray[np.bool_]:
+        """Return True (K,) for the rows of a case."""
         return pc.equal(table["case"], case.label).to_numpy()
 
     def returned(rows: NDArray[np.bool_]) -> tuple[float, float] | None:
+        """Return median and 99 % quantile of the times back to the itinerary in some rows (K,), s, or None."""
         times = table["returned"].filter(pa.array(rows)).drop_null().to_numpy()
         return (float(np.median(times)), float(np.quantile(times, 0.99))) if len(times) else None
 
     results = tuple(
-        CaseResult(c, share_of(done[of(c)]), table.filter(pa.array(of(c) & ~done)), returned(of(c))) for c in cases
+        CaseResult(
+            c,
+            share_of(completed[rows_of_case(c)]),
+            table.filter(pa.array(rows_of_case(c) & ~completed)),
+            returned(rows_of_case(c)),
+        )
+        for c in cases
     )
     pairs = tuple(
-        (a.label, b.label, paired(done[of(a)], done[of(b)]))
-        for a, b in itertools.combinations(cases if len(cases) <= MOST_PAIRED else (), 2)
+        (first.label, second.label, paired(completed[rows_of_case(first)], completed[rows_of_case(second)]))
+        for first, second in itertools.combinations(cases if len(cases) <= MOST_PAIRED else (), 2)
     )
-    simulated = sum(table["simulated_seconds"].to_pylist())
-    return Campaign(name, share_of(done), results, pairs, seconds, simulated, table, file)
+    simulated_seconds = sum(table["simulated_seconds"].to_pylist())
+    return Campaign(name, share_of(completed), results, pairs, seconds, simulated_seconds, table, file)
 
 
 def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[Any]) -> tuple[Case, ...]:
-    """Return the cases of every controller, kind and level.
+    """Return the cases of the robustness score: every controller with every kind and level of trouble.
 
     Args:
         itinerary: itinerary of all cases.
@@ -749,7 +831,7 @@ def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controller
         InputError: an unknown controller.
     """
     cases = []
-    for controller, shown in zip(controllers, _shown(controllers), strict=True):
+    for controller, controller_name in zip(controllers, _shown(controllers), strict=True):
         for kind in STANDARD:
             for k in range(LEVELS):
                 value = kind.levels[k] * (itinerary.loop.rate if kind.in_periods else 1)
@@ -758,9 +840,9 @@ def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controller
                     # The levels are far beyond usual values.
                     warnings.simplefilter("ignore", Remark)
                     (case,) = cases_of(itinerary, fixed={**canonical(fixed), **canonical(level)}, over={})
-                label = f"{shown}, {kind.score} {k} of {LEVELS - 1}"
-                named = (("controller", shown), ("kind", kind.score), ("level", float(k)))
-                cases.append(Case(label, named, case.loop))
+                label = f"{controller_name}, {kind.score} {k} of {LEVELS - 1}"
+                case_values = (("controller", controller_name), ("kind", kind.score), ("level", float(k)))
+                cases.append(Case(label, case_values, case.loop))
     return tuple(cases)
 
 
@@ -770,7 +852,13 @@ STANDARD_CAMPAIGN = CampaignSettings(runs=8, replayed=0)
 
 @dataclass(frozen=True)
 class StandardScore(Documented):
-    """One controller's shares of completed runs by kind, and their mean `total`, 0 to 1."""
+    """Robustness score of one controller.
+
+    Attributes:
+        controller: name of the controller.
+        kinds: share of completed runs by kind of trouble.
+        total: mean of these shares, 0 to 1.
+    """
 
     KEYS: ClassVar[str] = f"controller score=total kinds:{_SHARE}"
 
@@ -782,7 +870,7 @@ class StandardScore(Documented):
 def asked_cases(
     itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[str, Any], standard: bool, transitions: bool
 ) -> tuple[Case, ...]:
-    """Return the cases of a campaign or of the standard score.
+    """Return the cases that a user requests: combinations of values, or those of the robustness score.
 
     Args:
         itinerary: itinerary of all cases.
@@ -798,8 +886,10 @@ def asked_cases(
         return cases_of(itinerary, fixed=fixed, over=over)
     if transitions:
         raise InputError("transitions: the robustness score needs the whole itinerary; omit standard or transitions")
-    if surplus := [name for name in over if name != "controller"]:
-        raise InputError(f"over {surplus[0]}: the robustness score compares controllers only; omit {surplus[0]}")
+    if other_names := [name for name in over if name != "controller"]:
+        raise InputError(
+            f"over {other_names[0]}: the robustness score compares controllers only; omit {other_names[0]}"
+        )
     law = itinerary.loop.controller
     planned_controller = law.own.source or law.own.thing if isinstance(law, OwnLaw | OwnExpressions) else law.kind
     controllers = over.get("controller", [fixed.get("controller") or planned_controller])
@@ -807,7 +897,7 @@ def asked_cases(
 
 
 def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:
-    """Return each controller's score from the results of `standard_cases`.
+    """Return each controller's robustness score from the results of `standard_cases`.
 
     Args:
         results: results of all cases of `standard_cases`.
@@ -815,9 +905,13 @@ def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:
     counts: dict[str, dict[str, Counter[str]]] = {}
     for result in results:
         values, share = dict(result.case.values), result.completed
-        sums = counts.setdefault(str(values["controller"]), {}).setdefault(str(values["kind"]), Counter())
-        sums.update(successes=share.successes, runs=share.runs)
-    shares = {name: {kind: wilson(**sums) for kind, sums in kinds.items()} for name, kinds in counts.items()}
+        counts_of_kind = counts.setdefault(str(values["controller"]), {}).setdefault(str(values["kind"]), Counter())
+        counts_of_kind.update(successes=share.successes, runs=share.runs)
+    shares = {
+        name: {kind: wilson(**counts_of_kind) for kind, counts_of_kind in kinds.items()}
+        for name, kinds in counts.items()
+    }
     return tuple(
-        StandardScore(name, kinds, sum(s.rate for s in kinds.values()) / len(kinds)) for name, kinds in shares.items()
+        StandardScore(name, kinds, sum(share_of_kind.rate for share_of_kind in kinds.values()) / len(kinds))
+        for name, kinds in shares.items()
     )

@@ -239,13 +239,13 @@ class ClosedLoop(Timed):
             InputError: an unknown option or impossible value, or the file cannot be written.
             GoalMissed: there is no reference to follow, or a process died.
         """
-        itinerary, chosen = (
+        itinerary, campaign_settings = (
             self.planned.itinerary,
             settings or (STANDARD_CAMPAIGN if standard else CampaignSettings(runs)),
         )
         cases = asked_cases(itinerary, fixed=self.options, over=over or {}, standard=standard, transitions=transitions)
         result = run_campaign(
-            self.planned, cases, _path(out), settings=chosen,
+            self.planned, cases, _path(out), settings=campaign_settings,
             transitions=transitions, force=force, yes=yes, progress=progress,
         )  # fmt: skip
         return replace(result, standard=standard_scores(result.results)) if standard else result
@@ -328,4 +328,5 @@ def bench_of(rig: object) -> RigLink | OwnObject | None:
 
 
 def _path(file: Path | str | None) -> Path | None:
+    """Return a file name as a path, or None without one."""
     return None if file is None else Path(file)

@@ -35,6 +35,7 @@ DEFINITIONS = PACKAGE / "runs" / "definitions"
 NEAR, STAY = 0.2, 50
 """Largest error of an angle at a target, rad, and steps at one of several targets."""
 _RATE, _ENDLESS, _SEEDS, _FAR = 10.0, 1 << 40, 1 << 31, 1e3
+"""Scale of observed rates, rad/s, ticks of an endless draw, number of random seeds, and half length of the track, m."""
 
 
 class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
@@ -49,17 +50,22 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
     metadata = {"render_modes": [], "autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(self, definition: str, *, max_episode_steps: int, num_envs: int = 1) -> None:
+        """Read the environment's itinerary, and define the spaces of observations and actions."""
         itinerary = load_itinerary(str(DEFINITIONS / f"{definition}.toml"))
         self.itinerary, self.num_envs, self._steps = itinerary, num_envs, max_episode_steps
-        points, self._arms = equilibria(itinerary.model.system), itinerary.model.arms.count
-        holds = np.array(
-            [points[part.hold].state[: self._arms] for part in itinerary.parts if isinstance(part, HoldPart)]
+        equilibrium_points, self._arms = equilibria(itinerary.model.system), itinerary.model.arms.count
+        hold_angles = np.array(
+            [
+                equilibrium_points[part.hold].state[: self._arms]
+                for part in itinerary.parts
+                if isinstance(part, HoldPart)
+            ]
         )
         self._start = np.zeros(2 * self._arms + 2)
         if itinerary.start == "hold":
-            self._start[: self._arms] = holds[0]
+            self._start[: self._arms] = hold_angles[0]
         # A tour begins at its first stop.
-        self._targets = holds[1:] if len(holds) > 1 else holds
+        self._targets = hold_angles[1:] if len(hold_angles) > 1 else hold_angles
         self.single_observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (4 * self._arms + 2,), np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
@@ -68,7 +74,7 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Values, dict[str, Any]]:
-        """Draw all benches.
+        """Begin new episodes on all benches, and return their first observations and their seeds.
 
         Args:
             seed: seed of the first bench, from which the others count up, or one for each; None to continue.
@@ -83,9 +89,11 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
         return self._observations(), {"seed": np.array(seeds)}
 
     def _random_seeds(self, count: int) -> list[int]:
+        """Return random seeds for new episodes, from the generator that `reset` has seeded."""
         return self.np_random.integers(_SEEDS, size=count).tolist()
 
     def _benches(self, seeds: Sequence[int]) -> BatchBench:
+        """Return simulated benches with the draws of these seeds, at the start of their episodes."""
         loop, arms = self.itinerary.loop, self.itinerary.model.arms
         draws = {seed: loop.draw(arms, ticks=_ENDLESS, seed=seed) for seed in set(seeds)}
         # The episode ends at the end of the track, before the cart would be stopped there.
@@ -93,7 +101,9 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
         return BatchBench([draws[seed] for seed in seeds], loop.bench, limits=limits, start=self._start, lanes=MANY)
 
     def step(self, actions: Values) -> tuple[Values, Values, Values, Values, dict[str, Any]]:
-        """Advance all benches by one period, and draw those anew whose episodes are over.
+        """Advance all benches by one period, and begin new episodes on those whose episode is over.
+
+        Return observations (num_envs, 4n+2), rewards, ends and cut-offs of episodes (num_envs,), and no further data.
 
         Args:
             actions: accelerations over their limit (num_envs, 1), -1 to 1.
@@ -103,35 +113,37 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
         """
         if not np.isfinite(actions).all():
             raise InputError(f"actions = {actions!r}: must be finite numbers from -1 to 1")
-        limits, n, over = self.itinerary.limits, self._arms, np.flatnonzero(self._over)
+        limits, n, finished = self.itinerary.limits, self._arms, np.flatnonzero(self._over)
         self._before = self._reading
         self.bench.command(np.clip(np.reshape(actions, -1), -1.0, 1.0) * limits.acceleration)
         self._reading = self.bench.read().positions
         self._age += 1
         errors = self.bench.truth[:n] - self._targets[self._stop].T
         self._stayed = np.where(np.abs((errors + np.pi) % (2 * np.pi) - np.pi).max(axis=0) < NEAR, self._stayed + 1, 0)
-        rewards, ended = np.prod((1 + np.cos(errors)) / 2, axis=0), np.abs(self.bench.truth[2 * n]) > limits.position
+        rewards, is_ended = np.prod((1 + np.cos(errors)) / 2, axis=0), np.abs(self.bench.truth[2 * n]) > limits.position
         if len(self._targets) > 1:
             rewards = (self._stayed == STAY).astype(float)
-            ended |= (rewards > 0) & (self._stop + 1 == len(self._targets))
+            is_ended |= (rewards > 0) & (self._stop + 1 == len(self._targets))
             self._stop = np.minimum(self._stop + (rewards > 0), len(self._targets) - 1)
             self._stayed[rewards > 0] = 0
-        cut = self._age >= self._steps
-        if len(over):
-            self._restart(over)
-            for values in (rewards, ended, cut):
-                values[over] = 0
-        self._over = ended | cut
-        return self._observations(), rewards, ended, cut & ~ended, {}
+        is_cut_off = self._age >= self._steps
+        if len(finished):
+            self._restart(finished)
+            for values in (rewards, is_ended, is_cut_off):
+                values[finished] = 0
+        self._over = is_ended | is_cut_off
+        return self._observations(), rewards, is_ended, is_cut_off & ~is_ended, {}
 
     def _restart(self, lanes: Values) -> None:
-        bench = self._benches(self._random_seeds(len(lanes)))
-        self._reading[:, lanes] = self._before[:, lanes] = bench.read().positions
-        self.bench.replace_runs(lanes.tolist(), bench)
+        """Begin new episodes on some benches, whose numbers are `lanes`."""
+        new_benches = self._benches(self._random_seeds(len(lanes)))
+        self._reading[:, lanes] = self._before[:, lanes] = new_benches.read().positions
+        self.bench.replace_runs(lanes.tolist(), new_benches)
         for counts in (self._age, self._stop, self._stayed):
             counts[lanes] = 0
 
     def _observations(self) -> Values:
+        """Return the observations (num_envs, 4n+2) of all benches, as the head of this module defines them."""
         limits, n = self.itinerary.limits, self._arms
         rates = (self._reading - self._before) * self.itinerary.loop.rate
         angles, cart = self._reading[:n], [self._reading[n] / limits.position, rates[n] / limits.velocity]
@@ -149,6 +161,7 @@ class BenchEnvironment(gymnasium.Env[Values, Values]):
     metadata = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, **options: Any) -> None:
+        """Make a vector of benches that all have the same seed, of which only the first is shown."""
         self.vector = BenchVector(**options, num_envs=VECTOR)
         self.observation_space, self.action_space = (
             self.vector.single_observation_space,
@@ -156,18 +169,20 @@ class BenchEnvironment(gymnasium.Env[Values, Values]):
         )
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Values, dict[str, Any]]:
-        """Draw the bench.
+        """Begin a new episode, and return its first observation and the seed of its bench.
 
         Args:
             seed: seed of the bench; None to continue.
             options: ignored.
         """
         super().reset(seed=seed)
-        chosen = int(self.np_random.integers(_SEEDS)) if seed is None else seed
-        return self.vector.reset(seed=[chosen] * VECTOR)[0][0], {"seed": chosen}
+        bench_seed = int(self.np_random.integers(_SEEDS)) if seed is None else seed
+        return self.vector.reset(seed=[bench_seed] * VECTOR)[0][0], {"seed": bench_seed}
 
     def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
         """Advance the bench by one period.
+
+        Return observation (4n+2,), reward, end and cut-off of the episode, and no further data.
 
         Args:
             action: acceleration over its limit (1,), -1 to 1.
@@ -175,5 +190,5 @@ class BenchEnvironment(gymnasium.Env[Values, Values]):
         Raises:
             InputError: the action is not a finite number.
         """
-        observations, rewards, ended, cut, _ = self.vector.step(np.tile(action, (VECTOR, 1)))
-        return observations[0], float(rewards[0]), bool(ended[0]), bool(cut[0]), {}
+        observations, rewards, ended, cut_off, _ = self.vector.step(np.tile(action, (VECTOR, 1)))
+        return observations[0], float(rewards[0]), bool(ended[0]), bool(cut_off[0]), {}

@@ -31,7 +31,7 @@ _LONGER = 2.0
 def plan_flight(
     arms: ArmChainParameters, state: ArrayLike, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
 ) -> Flight:
-    """Return a flight from a state to a target.
+    """Return a flight from a state to a target; a failed one has the wider limit that would allow it as its remedy.
 
     Args:
         arms: the arms.
@@ -55,32 +55,35 @@ def plan_flight(
         )
     flight = _flight(arms, state, target, limits)
     for name in ("position", "acceleration") if not flight.converged else ():
-        wider = replace(limits, **{name: _LONGER * getattr(limits, name)})
-        if _flight(arms, state, target, wider).converged:
-            return replace(flight, remedy=(name, getattr(wider, name)))
+        wider_limits = replace(limits, **{name: _LONGER * getattr(limits, name)})
+        if _flight(arms, state, target, wider_limits).converged:
+            return replace(flight, remedy=(name, getattr(wider_limits, name)))
     return flight
 
 
 @lru_cache(maxsize=4)
 def _planner(arms: ArmChainParameters, limits: Limits) -> FlightPlanner:
+    """Return the planner of flights for arms and limits, compiled once."""
     return FlightPlanner(with_dry_friction(arms, RATE), limits)
 
 
 def _flight(
     arms: ArmChainParameters, state: Array, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
 ) -> Flight:
+    """Return the best flight from a state (N,) to a target within limits; if it fails, it has the cause."""
     name, places = _places(arms, target, limits)
     planner = _planner(arms, limits)
     flights = planner.plan(state[None], places)
     cost = float(flights.costs[0])
-    missed = FlightCause.OUTSIDE if cost < REACHED else FlightCause.MISSED
-    cause = FlightCause.REACHED if flights.reached[0] else missed
+    miss = FlightCause.OUTSIDE if cost < REACHED else FlightCause.MISSED
+    cause = FlightCause.REACHED if flights.reached[0] else miss
     return Flight(name, float(flights.durations[0]), cost, flights.inputs[0], flights.nodes[0], cause, limits, planner)
 
 
 def _places(
     arms: ArmChainParameters, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
 ) -> tuple[str, Target]:
+    """Return the name of a target for texts, and its places: states at which a law can take over, with costs."""
     if isinstance(target, Plan):
         recovery = assembled(replace(target, itinerary=target.itinerary.with_run({"start": "anywhere"}))).recovery
         assert recovery is not None
@@ -96,8 +99,9 @@ def _places(
 
 @lru_cache(maxsize=16)
 def _held(arms: ArmChainParameters, name: str, limits: Limits) -> Target:
-    points = equilibria(pendulum_system("pendulum", arms))
-    check_choice("equilibrium", points, name)
+    """Return the equilibrium of this name as a target, with the cost-to-go of the law that holds it."""
+    equilibrium_points = equilibria(pendulum_system("pendulum", arms))
+    check_choice("equilibrium", equilibrium_points, name)
     return hold_target(
-        hold_controller(points[name].state, sampled_model(arms, RATE), HoldSettings(), seconds=1.0), limits
+        hold_controller(equilibrium_points[name].state, sampled_model(arms, RATE), HoldSettings(), seconds=1.0), limits
     )

@@ -111,23 +111,29 @@ class Learnt(Documented):
 
 
 def coordinates(arms: ArmChainParameters, names: Sequence[str]) -> tuple[Array, Array]:
-    """Return y₀ (m,) and J (m, C) of a model's constant errors.
+    """Return the coordinates y₀ (m,) of a model, and their derivatives J (m, C) by the errors that a filter estimates.
+
+    Coordinates are the logarithms of the identifiable inertial ratios, then the friction ratios. In them, the filter's
+    relative errors of parameters act linearly, so its estimates and covariances can be converted.
 
     Args:
         arms: parameters of the model.
-        names: names of its constant errors (C,).
+        names: names of the model's constant errors (C,), which are the same in each run, see
+            `estimator_settings.constants`.
     """
     arms = with_laws(arms, (Friction.COULOMB,))
     labels, count = [name.partition("/")[0].replace("G", "S") for name in ratio_names(arms)], inertial_count(arms.count)
-    ratio = dict(zip(labels, base_ratios(arms), strict=True))
+    ratio_of = dict(zip(labels, base_ratios(arms), strict=True))
     effects = {(label, label): 1.0 for label in labels[:count]}
     for i in range(1, arms.count + 1):
+        # The length of an inner arm is the ratio of a coupling M to a weight S.
         effects |= {(f"l{i}", f"M{i}{i + 1}"): 1.0, (f"l{i}", f"S{i + 1}"): -1.0}
-        effects |= {(f"{law}_{i}", f"friction_{i}"): ratio[f"{law}_{i}"] for law in ("viscous", "coulomb")}
-        effects[f"coulomb_{i}", f"dry_{i}"] = ratio[f"S{i}"]
-    slope = np.array([[effects.get((label, name), 0.0) for name in names] for label in labels])
-    values = [*ratio.values()]
-    return np.concatenate([np.log(values[:count]), values[count:]]), slope
+        # Errors of friction are relative to the model's; additional dry friction is relative to the weight.
+        effects |= {(f"{law}_{i}", f"friction_{i}"): ratio_of[f"{law}_{i}"] for law in ("viscous", "coulomb")}
+        effects[f"coulomb_{i}", f"dry_{i}"] = ratio_of[f"S{i}"]
+    jacobian = np.array([[effects.get((label, name), 0.0) for name in names] for label in labels])
+    values = [*ratio_of.values()]
+    return np.concatenate([np.log(values[:count]), values[count:]]), jacobian
 
 
 Estimate = tuple[Array, Array]
@@ -135,7 +141,10 @@ Estimate = tuple[Array, Array]
 
 
 def evidence(log: RunLog) -> tuple[list[str], Estimate, Estimate]:
-    """Return the names of a filter's constant errors, and the coordinates before and after its run.
+    """Return the names of a filter's constant errors, and its estimates of the model before and after a run.
+
+    Both estimates are coordinates with their covariance. Their difference in information (inverse covariance) is that
+    of the run's readings.
 
     Args:
         log: log of the run.
@@ -143,20 +152,22 @@ def evidence(log: RunLog) -> tuple[list[str], Estimate, Estimate]:
     Raises:
         InputError: the log has no estimates of its model's errors.
     """
-    noted, arms = log.metadata.get(CONSTANTS_METADATA), arms_in(log, MODEL_METADATA)
-    if noted is None or arms is None:
+    errors_text, arms = log.metadata.get(CONSTANTS_METADATA), arms_in(log, MODEL_METADATA)
+    if errors_text is None or arms is None:
         raise InputError(
             f"{log.path} has no errors of the model to learn from: they are in whole logs of this version of runs "
             'with controller = "adaptive" and estimator = "ekf"'
         )
-    names, errors, *covariances = json.loads(noted)
-    offset, slope = coordinates(arms, names)
-    after, before = (slope @ covariance @ slope.T for covariance in covariances)
-    return names, (offset, before), (offset + slope @ errors, after)
+    names, errors, *covariances = json.loads(errors_text)
+    model_coordinates, jacobian = coordinates(arms, names)
+    covariance_after, covariance_before = (jacobian @ covariance @ jacobian.T for covariance in covariances)
+    return names, (model_coordinates, covariance_before), (model_coordinates + jacobian @ errors, covariance_after)
 
 
 def caution(log: RunLog) -> float:
     """Return the factor on the variance that the readings of a run leave, 1 or more.
+
+    It exceeds 1 if the NIS shows that the plant contradicts the filter's equations.
 
     Args:
         log: log of the run.
@@ -166,63 +177,79 @@ def caution(log: RunLog) -> float:
 
 
 def combined(before: Sequence[Estimate], after: Sequence[Estimate], cautions: Sequence[float]) -> Estimate:
-    """Return the coordinates from several runs, weighted by information (inverse covariances).
+    """Return the estimate from several runs, weighted by information (inverse covariances).
 
-    What the runs assumed counts once: each run adds what its filter left, and subtracts what it assumed.
-    Coordinates without a variance are those of the last run.
+    The assumption of a run that began at the result of another one must not count twice. So each run adds the result of
+    its filter, and subtracts its own assumption. Coordinates without a variance are those of the last run.
 
     Args:
-        before: what each run assumed.
-        after: what its filter left.
+        before: estimate that each run assumed, coordinates (m,) and covariance (m, m).
+        after: estimate after each run.
         cautions: factor on the variance that its readings leave, see `caution`.
     """
-    values, covariance = (part.copy() for part in after[-1])
-    rows = np.flatnonzero(covariance.diagonal() > 0)
-    block, shares = np.ix_(rows, rows), 1 / np.array(cautions)
-    weighed = [(before[0], 1.0), *zip(after, shares, strict=True), *zip(before, -shares, strict=True)]
-    parts = [(weight * np.linalg.inv(run[1][block]), run[0][rows]) for run, weight in weighed]
-    covariance[block] = np.linalg.inv(np.sum([information for information, _ in parts], axis=0))
-    values[rows] = covariance[block] @ np.sum([information @ means for information, means in parts], axis=0)
+    values, covariance = (array.copy() for array in after[-1])
+    free_rows = np.flatnonzero(covariance.diagonal() > 0)
+    free_block, weights = np.ix_(free_rows, free_rows), 1 / np.array(cautions)
+    weighted_runs = [(before[0], 1.0), *zip(after, weights, strict=True), *zip(before, -weights, strict=True)]
+    information_and_means = [
+        (weight * np.linalg.inv(run[1][free_block]), run[0][free_rows]) for run, weight in weighted_runs
+    ]
+    covariance[free_block] = np.linalg.inv(np.sum([information for information, _ in information_and_means], axis=0))
+    values[free_rows] = covariance[free_block] @ np.sum(
+        [information @ means for information, means in information_and_means], axis=0
+    )
     return values, covariance
 
 
 def learnt_arms(
     values: Array, covariance: Array, start: ArmChainParameters, names: Sequence[str]
 ) -> tuple[ArmChainParameters, Array, Array]:
-    """Return the arms nearest to a model's with learnt coordinates, and the covariances of ratios and of errors.
+    """Return the arms whose ratios are nearest to learnt coordinates, for a new model, with two covariances.
 
     The covariance (f, f) is that of the arms' ratios, (C, C) that of the constant errors of a filter with these arms.
 
     Args:
-        values: coordinates (m,).
+        values: learnt coordinates (m,), see `coordinates`.
         covariance: their covariance (m, m).
-        start: parameters of the model.
+        start: parameters of the old model, whose arms are the first guess.
         names: names of its constant errors (C,).
 
     Raises:
         GoalMissed: there are no such arms near the model's.
     """
     n, inertial = start.count, inertial_count(start.count)
-    viscous, dry = (np.arange(first, first + n) for first in (inertial, inertial + n))
-    none = dry[(values[dry] <= _SIGNIFICANT * np.sqrt(covariance[dry, dry])) & (not start.coulomb)]
-    values = values - covariance[:, none] @ np.linalg.pinv(covariance[np.ix_(none, none)]) @ values[none]
-    laws = tuple(law for law in Friction if getattr(start, law) or (law is Friction.COULOMB and none.size < n))
+    viscous_rows, dry_rows = (np.arange(first, first + n) for first in (inertial, inertial + n))
+    insignificant = dry_rows[
+        (values[dry_rows] <= _SIGNIFICANT * np.sqrt(covariance[dry_rows, dry_rows])) & (not start.coulomb)
+    ]
+    # Friction that is not significant is left out: the other values are conditioned on none.
+    values = (
+        values
+        - covariance[:, insignificant]
+        @ np.linalg.pinv(covariance[np.ix_(insignificant, insignificant)])
+        @ values[insignificant]
+    )
+    laws = tuple(law for law in Friction if getattr(start, law) or (law is Friction.COULOMB and insignificant.size < n))
     # Drag of the air is estimated together with viscous friction.
-    drag = np.divide(start.quadratic or np.zeros(n), start.viscous, out=np.zeros(n), where=np.array(start.viscous) > 0)
-    by_law = {
-        Friction.COULOMB: np.eye(len(values))[dry],
-        Friction.QUADRATIC: drag[:, None] * np.eye(len(values))[viscous],
+    drag_ratios = np.divide(
+        start.quadratic or np.zeros(n), start.viscous, out=np.zeros(n), where=np.array(start.viscous) > 0
+    )
+    slopes_by_law = {
+        Friction.COULOMB: np.eye(len(values))[dry_rows],
+        Friction.QUADRATIC: drag_ratios[:, None] * np.eye(len(values))[viscous_rows],
     }
     scale = np.append(np.exp(values[:inertial]), np.ones(2 * n))
-    slope = np.concatenate([np.diag(scale)[: inertial + n], *(by_law[law] for law in laws)])
-    ratios = slope @ np.append(np.ones(inertial), values[inertial:])
+    ratio_jacobian = np.concatenate([np.diag(scale)[: inertial + n], *(slopes_by_law[law] for law in laws)])
+    ratios = ratio_jacobian @ np.append(np.ones(inertial), values[inertial:])
     arms = nearest_arms(ratios, with_laws(start, laws))
-    inverse = np.linalg.pinv(coordinates(arms, names)[1])
-    return arms, slope @ covariance @ slope.T, inverse @ covariance @ inverse.T
+    error_jacobian = np.linalg.pinv(coordinates(arms, names)[1])
+    return arms, ratio_jacobian @ covariance @ ratio_jacobian.T, error_jacobian @ covariance @ error_jacobian.T
 
 
 def of_learnt_arms(itinerary: Itinerary, model: Model, errors: Array, *, raised: float = 1.0) -> Itinerary:
-    """Return the itinerary of the same motion of learnt arms, whose filter starts at a covariance.
+    """Return the itinerary of the same motion for learnt arms, whose filter starts at the learnt covariance.
+
+    Each energy keeps its height above the saddle below it, as a share of the energy from hanging to upright.
 
     Args:
         itinerary: itinerary of the runs.
@@ -230,24 +257,28 @@ def of_learnt_arms(itinerary: Itinerary, model: Model, errors: Array, *, raised:
         errors: covariance (C, C) of the model's constant errors.
         raised: factor on the energies' heights above the saddles.
     """
-    text, listed = itinerary.text, "parts" in parse_toml(itinerary.text, itinerary.name)
+    text, has_parts = itinerary.text, "parts" in parse_toml(itinerary.text, itinerary.name)
     systems = (itinerary.model.system, model.system)
-    before, after = map(equilibria, systems)
+    old_equilibria, new_equilibria = map(equilibria, systems)
     scale = systems[1].energy_scale / systems[0].energy_scale
     for number, part in enumerate(itinerary.parts, start=1):
         if not isinstance(part, HoldPart):
-            below = [name for name, point in before.items() if point.energy < part.energy]
-            low, base = (max(points[name].energy for name in below) for points in (before, after))
-            energy = base + raised * scale * (part.energy - low)
-            text = with_values(text, "parts" if listed else "", {"energy": energy}, number=number * listed)
-    learnt = tuple(errors.ravel().tolist())
-    text = with_values(with_values(text, "", {"model": model.name}), "estimator", {"learnt": learnt})
-    loop = itinerary.loop.with_({"estimator.learnt": learnt})
+            lower_equilibria = [name for name, point in old_equilibria.items() if point.energy < part.energy]
+            old_saddle_energy, new_saddle_energy = (
+                max(points[name].energy for name in lower_equilibria) for points in (old_equilibria, new_equilibria)
+            )
+            energy = new_saddle_energy + raised * scale * (part.energy - old_saddle_energy)
+            text = with_values(text, "parts" if has_parts else "", {"energy": energy}, number=number * has_parts)
+    covariance = tuple(errors.ravel().tolist())
+    text = with_values(with_values(text, "", {"model": model.name}), "estimator", {"learnt": covariance})
+    loop = itinerary.loop.with_({"estimator.learnt": covariance})
     return replace(itinerary_from(text, itinerary.name, model, plant=itinerary.plant), loop=loop)
 
 
 def replanned(plan: Plan, model: Model, errors: Array, *, progress: Progress = no_progress) -> Plan:
-    """Return the plan of the same motion of learnt arms.
+    """Return the plan of the same motion for learnt arms, at the first of the raised energies that has one.
+
+    The arms' connections differ, so one that existed for the old model may not exist at the same height.
 
     Args:
         plan: plan of the runs.
@@ -258,21 +289,23 @@ def replanned(plan: Plan, model: Model, errors: Array, *, progress: Progress = n
     Raises:
         GoalMissed: there is none at any of the energies.
     """
-    missed: list[str] = []
-    costs, still = plan.content.costs, np.zeros(0)
-    near = tuple(tail(plan.reference, cost.begin, seconds=cost.duration, turns=still) for cost in costs)
+    reasons: list[str] = []
+    costs, no_turns = plan.content.costs, np.zeros(0)
+    last_transfers = tuple(tail(plan.reference, cost.begin, seconds=cost.duration, turns=no_turns) for cost in costs)
     for raised in RAISED:
         itinerary = of_learnt_arms(plan.itinerary, model, errors, raised=raised)
         try:
-            planned = make_plan(replace(itinerary, near=near), progress=progress).followed()
-            return replace(planned, itinerary=itinerary)
+            new_plan = make_plan(replace(itinerary, near=last_transfers), progress=progress).followed()
+            return replace(new_plan, itinerary=itinerary)
         except (GoalMissed, InputError) as error:
-            missed.append(str(error))
-    raise GoalMissed(f"{plan.itinerary.name} has no plan for the learnt arms: {missed[0]}")
+            reasons.append(str(error))
+    raise GoalMissed(f"{plan.itinerary.name} has no plan for the learnt arms: {reasons[0]}")
 
 
 def effort(times: Array, feedback: Array) -> float:
-    """Return the feedback beyond the feedforward after the first second, or of a shorter run's last row, m/s² rms.
+    """Return the feedback beyond the feedforward as m/s² rms, which measures how well the model fits.
+
+    It counts after the first second; for a shorter run, its last row counts.
 
     Args:
         times: times (K,), s.
@@ -293,17 +326,18 @@ def learn(logs: Sequence[RunLog], plan: Plan, *, progress: Progress = no_progres
         InputError: a log has no estimates of the model's errors, or the runs estimated different ones.
         GoalMissed: there are no arms near the model's with the learnt ratios, or no plan for them.
     """
-    last = plan.itinerary
+    last_itinerary = plan.itinerary
     names, before, after = zip(*map(evidence, logs), strict=True)
     if any(run_names != names[-1] for run_names in names):
         raise InputError(f"{logs[0].path} and {logs[-1].path} have different arms or estimated different errors")
     values, covariance = combined(before, after, [*map(caution, logs)])
-    arms, ratios, errors = learnt_arms(values, covariance, last.model.arms, names[-1])
-    text = learnt_text(last.model, arms, ratios, [log.path.name for log in logs])
-    model = model_from(text, f"{last.name}-learnt")
+    arms, ratios, errors = learnt_arms(values, covariance, last_itinerary.model.arms, names[-1])
+    text = learnt_text(last_itinerary.model, arms, ratios, [log.path.name for log in logs])
+    model = model_from(text, f"{last_itinerary.name}-learnt")
     plan = replanned(plan, model, errors, progress=part_of(progress, 0.0, 0.8))
     loop = replace(plan.itinerary.loop, plant=None, mismatch=0.0, friction=1.0, model_uncertainty=1.0)
-    simulated = Assembly(plan.reference, arms, loop, model.uncertainty, stays=stays(plan.reference)).simulate()
+    simulated_run = Assembly(plan.reference, arms, loop, model.uncertainty, stays=stays(plan.reference)).simulate()
+    # Column 2 of `control` is the feedback, m/s².
     return Learnt(
         ratio_names(arms),
         base_ratios(arms),
@@ -311,5 +345,5 @@ def learn(logs: Sequence[RunLog], plan: Plan, *, progress: Progress = no_progres
         model,
         plan,
         effort(logs[-1].time, logs[-1].control["feedback"]),
-        effort(simulated.ticks.times, simulated.ticks.control[:, 2]),
+        effort(simulated_run.ticks.times, simulated_run.ticks.control[:, 2]),
     )

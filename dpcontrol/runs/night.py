@@ -70,7 +70,10 @@ _SPARE_DISK = 1e9
 class NightSettings(Settings, table="night"):
     """Duration and logs of a long run.
 
-    hours: duration, h. file_minutes: length of each log, min. keep_every: share of older logs to keep, one in so many.
+    Attributes:
+        hours: duration, h.
+        file_minutes: length of each log, min.
+        keep_every: share of older logs to keep, one in so many.
     """
 
     hours: Annotated[float, Setting(above=0, most=10_000, unit="h")]
@@ -83,18 +86,18 @@ class NightSettings(Settings, table="night"):
         return ceil(60 * self.hours / self.file_minutes - 1e-9)
 
     def disk(self, rate: float) -> float:
-        """Return the expected size of the logs, bytes.
+        """Return the expected size of the logs that stay on the disk, bytes.
 
         Args:
             rate: rate of the loop, Hz.
         """
-        a_file = min(self.file_minutes * 60, self.hours * 3600) * rate * _BYTES_A_TICK
+        file_size = min(self.file_minutes * 60, self.hours * 3600) * rate * _BYTES_A_TICK
         # The current log and the one before it are not thinned.
-        return a_file * min(self.files, ceil(self.files / self.keep_every) + 2)
+        return file_size * min(self.files, ceil(self.files / self.keep_every) + 2)
 
 
 def night_folder(out: Path) -> Path:
-    """Return the folder of a long run.
+    """Return the folder of a long run, whose name is that of a single run's log without its extension.
 
     Args:
         out: log that a single run would write.
@@ -135,7 +138,7 @@ def night_cost(
     real_time: bool = False,
     yes: bool = False,
 ) -> str:
-    """Return the cost of a long run in a sentence.
+    """Return the cost of a long run in a sentence, after a check that the disk and the user allow it.
 
     Args:
         itinerary: itinerary of the night.
@@ -155,11 +158,11 @@ def night_cost(
     files = f"{night.files:,} file{'s' if night.files > 1 else ''} of {night.file_minutes:g} minutes"
     thinned = f", of which one in {night.keep_every} is kept" if night.keep_every > 1 else ""
     text = f"{cost.sentence}, and {size_text(disk)} of disk in {folder}: {files}{thinned}"
-    existing = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
-    free = shutil.disk_usage(existing).free
-    if disk + _SPARE_DISK > free:
+    existing_folder = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
+    free_bytes = shutil.disk_usage(existing_folder).free
+    if disk + _SPARE_DISK > free_bytes:
         raise InputError(
-            f"{text}; {size_text(free)} are free there: thin the logs with --keep-every, or give another --out"
+            f"{text}; {size_text(free_bytes)} are free there: thin the logs with --keep-every, or give another --out"
         )
     if not yes and (disk > MOST_DISK or (seconds > MOST_SECONDS and not real_time)):
         raise InputError(
@@ -171,7 +174,13 @@ def night_cost(
 
 @dataclass(frozen=True)
 class _Resumption:
-    """Start of a night or of its next session: numbers of the session and of its first file, from 1, and time, s."""
+    """Start of a night or of its next session.
+
+    Attributes:
+        session: number of the session, from 1.
+        number: number of its first file, from 1.
+        begin: time of the night at which it begins, s.
+    """
 
     session: int = 1
     number: int = 1
@@ -193,7 +202,7 @@ def run_night(
 ) -> Night:
     """Repeat a planned itinerary for hours.
 
-    The logs are in the folder of `out`. With `learn`, the first repetition is a session of its own, and the others
+    The logs are in the folder of `out`. With `learn`, the first repetition is a separate session, and the others
     follow the plan that is learnt from it. A second learning would gain nothing.
 
     Args:
@@ -216,18 +225,18 @@ def run_night(
     folder = night_folder(out)
     if learn:
         if not resume:
-            lap = replace(night, hours=min(plan.followed().reference.duration / 3600, night.hours / 2))
-            run_night(plan, out, lap, link=link, force=force, live=live, yes=yes, progress=progress)
+            first_lap = replace(night, hours=min(plan.followed().reference.duration / 3600, night.hours / 2))
+            run_night(plan, out, first_lap, link=link, force=force, live=live, yes=yes, progress=progress)
         plan = _learnt_plan(folder, plan.itinerary, simulated=link is None or link.address == OWN_BENCH)
         resume = True
     itinerary = plan.followed().itinerary
     settings, arms = itinerary.loop, itinerary.model.arms
-    made_by = bench_record(itinerary, link)
-    record = {} if learn else {**run_metadata(itinerary), **made_by}
+    bench_metadata = bench_record(itinerary, link)
+    record = {} if learn else {**run_metadata(itinerary), **bench_metadata}
     check_folder(folder, record, resume=resume, force=force)
     remark(night_cost(itinerary, night, folder, real_time=link is not None, yes=yes))
-    place = _place(folder, record, night, settings.rate, resume=resume, force=force)
-    since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
+    resumption = _place(folder, record, night, settings.rate, resume=resume, force=force)
+    since, until = round(resumption.begin * settings.rate), round(night.hours * 3600 * settings.rate)
     assembly = assembled(plan)
     recovery = assembly.recovery
     if recovery is None:
@@ -236,19 +245,20 @@ def run_night(
             f'use on_fall = "resume" or "restart"'
         )
 
-    def make(path: Path, more: Mapping[str, str]) -> LogWriter:
-        return log_writer(plan, path, **made_by, **more)
+    def new_log(path: Path, more: Mapping[str, str]) -> LogWriter:
+        """Return the writer of the night's next file."""
+        return log_writer(plan, path, **bench_metadata, **more)
 
     rolling = RollingLog(
-        folder, folder.resolve().name, make, seconds=60 * night.file_minutes, rate_hz=settings.rate,
+        folder, folder.resolve().name, new_log, seconds=60 * night.file_minutes, rate_hz=settings.rate,
         limit=assembly.limits.position, extras=extra_names(arms.count, settings.filters.augments),
-        keep_every=night.keep_every, session=place.session, number=place.number, begin=place.begin,
+        keep_every=night.keep_every, session=resumption.session, number=resumption.number, begin=resumption.begin,
         end=night.hours * 3600,
     )  # fmt: skip
     with rolling:
         try:
             if link is None:
-                simulated = assembly.under(_since(settings, place.begin))
+                simulated = assembly.under(_since(settings, resumption.begin))
                 with watched(plan, LogSink(rolling), live=live) as sink:
                     result = simulated.simulate(
                         draw=assembly.draw().endless(since=since), sink=sink, recovery=recovery, until=until - since,
@@ -284,6 +294,11 @@ def _learnt_plan(folder: Path, itinerary: Itinerary, *, simulated: bool) -> Plan
 
     A simulated plant stays that of the itinerary, which is drawn from its own model.
 
+    Args:
+        folder: folder of the night.
+        itinerary: itinerary of the night.
+        simulated: True for a simulated bench.
+
     Raises:
         InputError: no session of the night ended in order.
     """
@@ -297,8 +312,8 @@ def _learnt_plan(folder: Path, itinerary: Itinerary, *, simulated: bool) -> Plan
         f"{learnt.effort_expected:.3f} expected"
     )
     draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
-    drawn = {"plant": draw.plant.arms, "mismatch": 0.0, "friction": 1.0, "model_uncertainty": 0.0}
-    loop = learnt.plan.itinerary.loop.with_(drawn if simulated and not draw.own else {})
+    plant_settings = {"plant": draw.plant.arms, "mismatch": 0.0, "friction": 1.0, "model_uncertainty": 0.0}
+    loop = learnt.plan.itinerary.loop.with_(plant_settings if simulated and not draw.own else {})
     return replace(learnt.plan, itinerary=replace(learnt.plan.itinerary, loop=loop))
 
 
@@ -308,13 +323,16 @@ _BRAKING = 2.0
 
 @contextmanager
 def _switching_soon() -> Iterator[None]:
-    """Limit the loop's wait for the interpreter to a tenth of a period while a thread writes the log."""
-    was = sys.getswitchinterval()
+    """Limit the loop's wait for the interpreter to 0.1 ms while a thread writes the log.
+
+    Otherwise the thread could hold the interpreter for several periods of the loop.
+    """
+    former_interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-4)
     try:
         yield
     finally:
-        sys.setswitchinterval(was)
+        sys.setswitchinterval(former_interval)
 
 
 def name_check(
@@ -327,7 +345,7 @@ def name_check(
     force: bool,
     yes: bool,
 ) -> Callable[[Path], None]:
-    """Return the check of the log's or folder's name, which comes before planning.
+    """Return a function that checks the name of a run's log or folder, which is called before planning.
 
     Args:
         itinerary: itinerary of the run.
@@ -341,6 +359,7 @@ def name_check(
     record = run_record(itinerary, bench)
 
     def check(file: Path) -> None:
+        """Check the name of a log, or of the folder that a long run derives from it."""
         if night is None:
             check_replaced(checked_target(file), record, force=force)
             return
@@ -351,7 +370,9 @@ def name_check(
 
 
 def check_folder(folder: Path, record: Mapping[str, str], *, resume: bool, force: bool) -> list[Path]:
-    """Return the files of the long run in a folder, checked before planning.
+    """Return the files of the long run in a folder, or refuse a folder that cannot be used.
+
+    The check comes before planning, which takes long.
 
     Args:
         folder: folder of the logs.
@@ -366,29 +387,29 @@ def check_folder(folder: Path, record: Mapping[str, str], *, resume: bool, force
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder; a long run writes a folder: choose another --out")
     name = folder.resolve().name
-    existing = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
-    if existing and not resume and not force:
+    existing_files = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
+    if existing_files and not resume and not force:
         raise InTheWay(
             f"{folder} already holds a long run; continue it with --resume, choose another --out, or replace it "
             "with --force"
         )
-    if resume and not existing:
+    if resume and not existing_files:
         raise InputError(f"{folder} holds no long run to resume; omit --resume to begin one")
     for log in sorted(folder.glob(f"{name}-[0-9]*.mcap"))[-1:] if resume and record else ():
         check_same_run(log, record, also=(NIGHT_METADATA,))
-    return existing
+    return existing_files
 
 
 def _since(settings: LoopSettings, begin: float) -> LoopSettings:
-    """Return the settings of a bench after `begin` s, by when its sticking parts may have recovered."""
+    """Return the settings of a bench that resumes after `begin` s: times of a stuck sensor count from there."""
     sensors = settings.sensors
     first, end = max(sensors.stuck_at - begin, 0.0), sensors.stuck_at + sensors.stuck_for - begin
-    later = (
+    stuck_sensor = (
         {"stuck_at": first, "stuck_for": end - first}
         if first < float("inf") and end > 0
         else {"stuck_at": float("inf")}
     )
-    return replace(settings, sensors=replace(sensors, **later))
+    return replace(settings, sensors=replace(sensors, **stuck_sensor))
 
 
 def _place(
@@ -396,27 +417,37 @@ def _place(
 ) -> _Resumption:
     """Return the start of the next session, after closing the logs of an interrupted one.
 
+    Without `resume`, the folder is emptied for a new night.
+
+    Args:
+        folder: folder of the night.
+        metadata: metadata that identify the night.
+        night: duration and logs.
+        rate: rate of the loop, Hz.
+        resume: continue the night of the folder.
+        force: replace the night of the folder.
+
     Raises:
         InputError: the folder holds another, a complete or no night, or one that must not be resumed.
     """
     name = folder.resolve().name
-    existing = check_folder(folder, metadata, resume=resume, force=force)
+    existing_files = check_folder(folder, metadata, resume=resume, force=force)
     if not resume:
-        for file in existing:
+        for file in existing_files:
             file.unlink()
         return _Resumption()
-    for partial in partials_of(folder / name):
-        log = folder / f"{partial.name.partition('.mcap')[0]}.mcap"
+    for partial_log in partials_of(folder / name):
+        log = folder / f"{partial_log.name.partition('.mcap')[0]}.mcap"
         if not log.exists():
             try:
-                recover(partial, log)
+                recover(partial_log, log)
             except InputError as error:
                 # A session that ended before its first tick left no log to recover.
                 remark(f"{error}; the night continues without it")
-    last = read_night(folder).digests[-1]
-    if last.end >= night.hours * 3600 - 1 / rate:
+    last_digest = read_night(folder).digests[-1]
+    if last_digest.end >= night.hours * 3600 - 1 / rate:
         raise InputError(
-            f"{folder} is complete: {last.end / 3600:.4g} of {night.hours:g} hours; raise --hours to continue"
+            f"{folder} is complete: {last_digest.end / 3600:.4g} of {night.hours:g} hours; raise --hours to continue"
         )
-    number = max(int(file.name[len(name) + 1 :].partition(".")[0]) for file in existing)
-    return _Resumption(last.session + 1, number + 1, ceil(last.end * rate - 1e-6) / rate)
+    number = max(int(file.name[len(name) + 1 :].partition(".")[0]) for file in existing_files)
+    return _Resumption(last_digest.session + 1, number + 1, ceil(last_digest.end * rate - 1e-6) / rate)

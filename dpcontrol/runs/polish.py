@@ -59,9 +59,14 @@ SHARE = 0.7
 
 @dataclass(frozen=True)
 class _JointSearch:
-    """One search: method, interval in s, weight of the distance to the robust plan, and limit of iterations.
+    """One search for the joint optimum.
 
-    far: True if IPOPT adapts its barrier. Long motions need it. Short ones then may end in a more costly minimum.
+    Attributes:
+        method: name of the transcription.
+        interval: length of the mesh intervals, s.
+        weight: weight of the distance to the robust plan.
+        iterations: limit of iterations.
+        far: True if IPOPT adapts its barrier. Long motions need it. Short ones then may end in a more costly minimum.
     """
 
     method: str
@@ -80,12 +85,13 @@ _SEARCHES = (
 _HOLD = 10.0
 """Weight of the distance to the motion whose mesh is refined."""
 CART_WEIGHT = 0.01
+"""Weight w_x of the cart's squared position, 1/s⁴."""
 MISMATCHES, RUNS = (0.05, 0.2), 48
 """Mismatches at which both plans are run, and the runs at each."""
 _PACE, _AT_FIRST = 5.0, 10.0
-"""s of one processor for a second of motion, and before the first."""
+"""Time of one processor for a second of motion, and before the first second, s."""
 _LOOK = 1e-3
-"""s between the states whose crossings are counted."""
+"""Time between the states whose crossings are counted, s."""
 
 
 @dataclass(frozen=True)
@@ -163,23 +169,28 @@ def polish(
     check_polishable(plan.followed())
     loop = plan.itinerary.loop
     seconds = plan.reference.duration
-    flying = 2 * len(MISMATCHES) * runs * seconds * loop.rate * seconds_of(loop) / (workers or processors())
+    run_seconds = 2 * len(MISMATCHES) * runs * seconds * loop.rate * seconds_of(loop) / (workers or processors())
     file = cache_file("plans", f"{plan.itinerary.name}-polished", _key(plan))
     content = None if fresh else kept(file)
-    solving = _AT_FIRST + _PACE * seconds if content is None else 0.0
-    announce(Cost(f"{seconds:.1f} s of motion as one", solving + flying, 5e8, f"polish {plan.itinerary.name}"), yes=yes)
+    solution_seconds = _AT_FIRST + _PACE * seconds if content is None else 0.0
+    announce(
+        Cost(f"{seconds:.1f} s of motion as one", solution_seconds + run_seconds, 5e8, f"polish {plan.itinerary.name}"),
+        yes=yes,
+    )
     if content is not None:
         polished = Plan(plan.itinerary, load_reference(BytesIO(content)), file, cached=True)
     else:
         polished = Plan(plan.itinerary, _polished(plan, part_of(progress, 0.0, 0.8)), file, cached=False)
         if polished.converged:
             keep(file, polished.archive)
-    both = [("robust", plan)] + [("polished", polished)] * polished.converged
-    return Polished(plan, polished, tuple(_sides(both, runs, workers or processors(), part_of(progress, 0.8, 1.0))))
+    named_plans = [("robust", plan)] + [("polished", polished)] * polished.converged
+    return Polished(
+        plan, polished, tuple(_sides(named_plans, runs, workers or processors(), part_of(progress, 0.8, 1.0)))
+    )
 
 
 def check_polishable(plan: Plan) -> None:
-    """Check that a plan leads from rest to rest and is not polished already.
+    """Raise an `InputError` unless a plan leads from rest to rest and is not polished already.
 
     Args:
         plan: plan to check.
@@ -188,11 +199,16 @@ def check_polishable(plan: Plan) -> None:
         InputError: one of the two fails.
     """
     content, itinerary = plan.content, plan.itinerary
-    rest = resting_place(itinerary.model.system)
+    resting_saddle = resting_place(itinerary.model.system)
     ends = [content.stops[k].saddle for k in (0, -1)]
     if content.polished:
         raise InputError(f"{itinerary.path} is polished already; polish the itinerary that it was made from")
-    if not content.symbols or ends != [rest, rest] or itinerary.start == "orbit" or content.segments:
+    if (
+        not content.symbols
+        or ends != [resting_saddle, resting_saddle]
+        or itinerary.start == "orbit"
+        or content.segments
+    ):
         raise InputError(
             f"{itinerary.path}: --polish needs a motion from rest to rest, and this one leads from {ends[0]} to "
             f"{ends[1]}; "
@@ -201,45 +217,54 @@ def check_polishable(plan: Plan) -> None:
 
 
 def _key(plan: Plan) -> str:
+    """Return the hash of all inputs of polishing, by which a polished plan is found in the cache."""
     # Starts after a fall belong to the robust plan, and are not polished.
     motion = plan.reference
-    arrays = [part.tobytes() for part in (motion.mesh, motion.states, motion.inputs)]
+    arrays = [array.tobytes() for array in (motion.mesh, motion.states, motion.inputs)]
     settings = json.dumps([plan.itinerary.text, plan.itinerary.model.text, plan.itinerary.limits.named()])
     return content_hash(f"polishing {POLISHING}, planning {PLANNING}", settings, *arrays)
 
 
 def _polished(plan: Plan, progress: Progress) -> Reference:
-    """Return the polished reference, or the robust one with the reason in its status."""
-    robust, none = plan.reference, np.zeros(plan.itinerary.model.arms.count)
-    spans = list(stretches(robust))
-    parts = [tail(robust, begin, seconds=end - begin, turns=none) for begin, end, _ in spans]
-    moving = [k for k, span in enumerate(spans) if span[2]]
+    """Return the polished reference of a plan, or the robust one with the reason in its status.
+
+    Each moving part has several candidates, the least costly first. They are joined until the motion keeps the walk and
+    would be completed.
+    """
+    robust, no_turns = plan.reference, np.zeros(plan.itinerary.model.arms.count)
+    time_ranges = list(stretches(robust))
+    parts = [tail(robust, begin, seconds=end - begin, turns=no_turns) for begin, end, _ in time_ranges]
+    moving_parts = [k for k, span in enumerate(time_ranges) if span[2]]
     candidates: dict[int, list[Trajectory]] = {}
-    for count, k in enumerate(moving):
-        portion = part_of(progress, 0.8 * count / len(moving), 0.8 * (count + 1) / len(moving))
-        candidates[k] = _searched(_problem(plan, parts[k]), parts[k], plan.itinerary.reference, portion)
-    # The least costly motion of each part comes first. Then the second best of one part replaces it.
-    missed: Concluded | None = None
-    choice = dict.fromkeys(moving, 0)
-    while all(place < len(candidates[k]) for k, place in choice.items()):
+    for count, k in enumerate(moving_parts):
+        part_progress = part_of(progress, 0.8 * count / len(moving_parts), 0.8 * (count + 1) / len(moving_parts))
+        candidates[k] = _searched(_problem(plan, parts[k]), parts[k], plan.itinerary.reference, part_progress)
+    # The least costly motions of all parts are tried first, then the second best of all.
+    reason: Concluded | None = None
+    candidate_of_part = dict.fromkeys(moving_parts, 0)
+    while all(candidate < len(candidates[k]) for k, candidate in candidate_of_part.items()):
         progress("refining", 0.8)
         pieces = [
-            _refined(plan, part, candidates[k][choice[k]]) if k in choice else part for k, part in enumerate(parts)
+            _refined(plan, part, candidates[k][candidate_of_part[k]]) if k in candidate_of_part else part
+            for k, part in enumerate(parts)
         ]
         motion = joined(pieces)[0]
-        missed = departure(robust, motion) if motion.converged else motion.ending
-        if missed is None:
+        reason = departure(robust, motion) if motion.converged else motion.ending
+        if reason is None:
             motion = _noted(plan, motion)
-            missed = shortfall(motion)
-        if missed is None:
+            reason = shortfall(motion)
+        if reason is None:
             progress("polished", 1.0)
             return motion
-        choice = {k: place + 1 for k, place in choice.items()}
-    return replace(robust, converged=False, ending=ReferenceEnding(ReferenceCause.NO_CHEAPER, inner=missed))
+        candidate_of_part = {k: candidate + 1 for k, candidate in candidate_of_part.items()}
+    return replace(robust, converged=False, ending=ReferenceEnding(ReferenceCause.NO_CHEAPER, inner=reason))
 
 
 def _problem(plan: Plan, part: Reference) -> ReferenceProblem:
-    """Return the problem of one part of the robust plan, with the same time and ends."""
+    """Return the optimisation problem of one part of the robust plan: same time, same ends, shares of the limits.
+
+    The robust plan may use more of a limit than `SHARE`; then the part may do so too.
+    """
     robust, arms = plan.reference, plan.itinerary.model.arms.planned()
     bounds = {name: max(SHARE * bound, robust.largest[name]) for name, bound in robust.limits.named().items()}
     ends = EndConditions(start=part.state(0.0), end=part.state(part.duration))
@@ -249,25 +274,47 @@ def _problem(plan: Plan, part: Reference) -> ReferenceProblem:
 
 
 def _along(motion: Trajectory) -> Guess:
+    """Return a motion as a guess for a search: a function of times, s, that returns the pendulum's states."""
     return lambda times: motion.state(times)[:, :-2]
 
 
 def _searched(
     problem: ReferenceProblem, part: Reference, settings: ReferenceSettings, progress: Progress
 ) -> list[Trajectory]:
-    """Return the motions that the searches from a part of the robust plan yield, the least costly first."""
+    """Return the motions that all searches from a part of the robust plan find, the least costly first.
+
+    Args:
+        problem: problem of the part.
+        part: the part of the robust plan, from which searches start.
+        settings: settings of the plan's references.
+        progress: receiver of progress reports.
+    """
     motions: list[Trajectory] = []
     for k, search in enumerate(_SEARCHES):
         progress(f"as one, {part.duration:.1f} s", k / len(_SEARCHES))
-        wanted = _settings(settings, search.weight, search.method, search.iterations)
-        first = on_mesh(part, even_mesh(part.duration, search.interval), method_named(search.method))
-        solved = solve(problem, first, settings=wanted, limits=problem.limits, search="far" if search.far else "fresh")
-        if solved.succeeded:
-            motions.append(solved.trajectory)
+        search_settings = _settings(settings, search.weight, search.method, search.iterations)
+        initial_trajectory = on_mesh(part, even_mesh(part.duration, search.interval), method_named(search.method))
+        solution = solve(
+            problem,
+            initial_trajectory,
+            settings=search_settings,
+            limits=problem.limits,
+            search="far" if search.far else "fresh",
+        )
+        if solution.succeeded:
+            motions.append(solution.trajectory)
     return sorted(motions, key=lambda motion: motion.effort)
 
 
 def _settings(settings: ReferenceSettings, weight: float, method: str, iterations: int) -> ReferenceSettings:
+    """Return the settings of a joint search.
+
+    Args:
+        settings: settings of the plan's references.
+        weight: weight of the distance to the guess, which holds the motion near the robust plan.
+        method: name of the transcription.
+        iterations: limit of iterations.
+    """
     return replace(
         settings, level="cart", solver="ipopt", method=method, pendulum_weight=weight, cart_weight=CART_WEIGHT,
         end_tolerance=0.0, iterations=iterations,
@@ -275,43 +322,53 @@ def _settings(settings: ReferenceSettings, weight: float, method: str, iteration
 
 
 def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
-    """Return a refined motion for a part of the plan, on a mesh of the plan's method and within its tolerance."""
-    planned = plan.itinerary.reference
-    settings = _settings(planned, _HOLD, planned.method, max(planned.iterations, 100))
+    """Return a motion of a part of the plan, refined within the plan's tolerance on a mesh of its method.
+
+    A weight holds it near the motion of the search, so that refinement does not lead to another minimum.
+
+    Args:
+        plan: robust plan.
+        part: part of its reference, which gives time and ends.
+        motion: result of a search for this part.
+    """
+    plan_settings = plan.itinerary.reference
+    settings = _settings(plan_settings, _HOLD, plan_settings.method, max(plan_settings.iterations, 100))
     problem = replace(_problem(plan, part), guess=_along(motion))
-    near = on_mesh(motion, even_mesh(part.duration, planned.interval), method_named(planned.method))
-    fine = solve(problem, near, settings=settings, limits=problem.limits)
-    reference = find_reference(problem, settings, near=fine.trajectory if fine.succeeded else near)
+    on_plan_mesh = on_mesh(motion, even_mesh(part.duration, plan_settings.interval), method_named(plan_settings.method))
+    solution = solve(problem, on_plan_mesh, settings=settings, limits=problem.limits)
+    reference = find_reference(problem, settings, near=solution.trajectory if solution.succeeded else on_plan_mesh)
     return replace(reference, limits=plan.reference.limits)
 
 
 def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
-    """Yield begin and end, s, of each stretch of a plan, and False for interior holds and the final rest.
+    """Yield begin and end, s, of each part of a plan that is polished or kept.
+
+    The third value is True for a moving part, False for an interior hold and the final rest.
 
     Args:
         robust: reference of the robust plan.
     """
-    content, after = robust.content, 0.0
-    ways = content.transfers
+    content, begin_of_part = robust.content, 0.0
+    transfers = content.transfers
     for stop, symbol in zip(content.stops[1:-1], content.symbols, strict=False):
         if content.orbit(stop).multiplier != 1.0:
             continue
-        k = next(k for k, (begin, end) in enumerate(ways) if begin <= symbol.time <= end)
-        yield after, ways[k][1], True
-        yield ways[k][1], ways[k + 1][0], False
-        after = ways[k + 1][0]
-    last = robust.duration - min(STILL, robust.duration - ways[-1][1])
-    yield after, last, True
-    yield last, robust.duration, False
+        k = next(k for k, (begin, end) in enumerate(transfers) if begin <= symbol.time <= end)
+        yield begin_of_part, transfers[k][1], True
+        yield transfers[k][1], transfers[k + 1][0], False
+        begin_of_part = transfers[k + 1][0]
+    begin_of_rest = robust.duration - min(STILL, robust.duration - transfers[-1][1])
+    yield begin_of_part, begin_of_rest, True
+    yield begin_of_rest, robust.duration, False
 
 
 @dataclass(frozen=True, eq=False)
 class _Crossed:
-    """Crossings of a plan's sections by a motion.
+    """Crossings of a plan's sections by a motion, by which walks are compared.
 
     Attributes:
         times: times of the symbols, s.
-        events: events of each walk.
+        events: crossings of each walk in order, as section, turn and direction.
         halves: half wraps at each interior stop, or None if it has no count.
     """
 
@@ -322,7 +379,15 @@ class _Crossed:
 
 @dataclass(frozen=True)
 class Departure(Concluded):
-    """Departure of a motion from its walk: its cause, with the symbol, or the stop and its wraps."""
+    """Departure of a polished motion from the walk of its robust plan.
+
+    Attributes:
+        cause: the cause.
+        symbol: symbol whose section is not crossed.
+        stop: number of the stop with other wraps, from 1.
+        wraps: wraps there.
+        wanted: wraps of the robust plan.
+    """
 
     cause: DepartureCause
     symbol: str = ""
@@ -332,27 +397,29 @@ class Departure(Concluded):
 
 
 def departure(robust: Reference, motion: Reference) -> Departure | None:
-    """Return the first difference between two walks, or None.
+    """Return the first difference between the walks of a polished motion and its robust plan, or None.
+
+    A walk is the order, direction and turns of section crossings, with the wraps between them.
 
     Args:
         robust: reference of the robust plan.
         motion: reference of the polished motion.
     """
-    before = _crossed(robust, robust)
+    planned = _crossed(robust, robust)
     try:
-        after = _crossed(robust, motion)
+        polished = _crossed(robust, motion)
     except LookupError as error:
         return Departure(DepartureCause.NO_CROSSING, symbol=error.args[0])
-    if before.events != after.events:
+    if planned.events != polished.events:
         return Departure(DepartureCause.ORDER)
-    for k, (was, now) in enumerate(zip(before.halves, after.halves, strict=True)):
-        if was is not None and now is not None and abs(now - was) > 1:
-            return Departure(DepartureCause.WRAPS, stop=k + 1, wraps=now / 2, wanted=was / 2)
+    for k, (planned_halves, polished_halves) in enumerate(zip(planned.halves, polished.halves, strict=True)):
+        if planned_halves is not None and polished_halves is not None and abs(polished_halves - planned_halves) > 1:
+            return Departure(DepartureCause.WRAPS, stop=k + 1, wraps=polished_halves / 2, wanted=planned_halves / 2)
     return None
 
 
 def _crossed(robust: Reference, motion: Reference) -> _Crossed:
-    """Return the crossings of a robust plan's sections by a motion.
+    """Return the crossings of a robust plan's sections by a motion, to compare its walk with the plan's.
 
     Raises:
         LookupError: the symbol of this text does not cross its section on its turns.
@@ -361,47 +428,59 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
     n = len(content.stops[0].angles)
     grid = np.arange(0.0, motion.duration, _LOOK)
     angles = motion.state(motion.mesh[0] + grid)[:, :n]
-    times, after = list[float](), 0.0
+    times, last_crossing = list[float](), 0.0
     for symbol in content.symbols:
         if symbol.section is None:
             times.append(symbol.time)
             continue
-        seen = crossing(grid, angles, symbol, robust, between=(after, symbol.time))
-        if seen is None:
+        crossing_time = crossing(grid, angles, symbol, robust, between=(last_crossing, symbol.time))
+        if crossing_time is None:
             raise LookupError(symbol.text)
-        times.append(after := seen)
+        times.append(last_crossing := crossing_time)
     events = list[list[tuple[int, int, int]]]()
     for transfer, group in groupby(zip(content.symbols, times, strict=True), lambda pair: pair[0].section is None):
         if not transfer:
             walk = list(group)
-            inside = (grid >= walk[0][1] - _LOOK) & (grid <= walk[-1][1] + _LOOK)
-            events.append(_events([symbol for symbol, _ in walk], angles[inside]))
+            during_walk = (grid >= walk[0][1] - _LOOK) & (grid <= walk[-1][1] + _LOOK)
+            events.append(_events([symbol for symbol, _ in walk], angles[during_walk]))
     halves: list[int | None] = []
-    for k, (arrived, left) in enumerate(pairwise(times)):
+    for k, (arrival, departure_time) in enumerate(pairwise(times)):
         stop = content.stops[k + 1]
         # The arm that swings farther on the stop's orbit counts its wraps.
         arm = int(np.argmax(np.ptp(content.orbit(stop).curve[:, :n], axis=0)))
-        above = angles[(grid >= arrived) & (grid <= left), arm] > stop.angles[arm]
-        halves.append(None if content.wraps[k] is None else int(np.count_nonzero(above[1:] != above[:-1])))
+        # Each wrap crosses the saddle's angle twice, which gives half wraps.
+        is_above = angles[(grid >= arrival) & (grid <= departure_time), arm] > stop.angles[arm]
+        halves.append(None if content.wraps[k] is None else int(np.count_nonzero(is_above[1:] != is_above[:-1])))
     return _Crossed(times, events, halves)
 
 
 def _events(walk: list[PlanSymbol], angles: Array) -> list[tuple[int, int, int]]:
-    """Return the crossings of a walk's sections in order as section, turn and direction; the angles are (K, n)."""
+    """Return the crossings of a walk's sections in order, as number of the section, turn and direction.
+
+    Two motions with the same crossings keep the same walk.
+
+    Args:
+        walk: symbols of the walk.
+        angles: angles (K, n) of the motion, rad.
+    """
     events = list[tuple[int, int, int, int]]()
     # The first value of each normal counts.
     sections = [symbol.section for symbol in reversed(walk) if symbol.section is not None]
     values = {section.normal: section.value for section in sections}
     for number, (normal, value) in enumerate(values.items(), start=1):
+        # A change of the whole number of turns beyond the section's value is a crossing.
         turn = np.floor((angles @ np.asarray(normal[: angles.shape[1]]) - value) / (2 * np.pi)).astype(int)
         for row in np.flatnonzero(np.diff(turn)):
-            step = int(np.sign(turn[row + 1] - turn[row]))
-            events.append((int(row), number, int(max(turn[row], turn[row + 1])), step))
-    return [(number, turn, step) for _, number, turn, step in sorted(events)]
+            direction = int(np.sign(turn[row + 1] - turn[row]))
+            events.append((int(row), number, int(max(turn[row], turn[row + 1])), direction))
+    return [(number, turn, direction) for _, number, turn, direction in sorted(events)]
 
 
 def _noted(plan: Plan, motion: Reference) -> Reference:
-    """Return a polished motion with the content of its plan, at its times of crossings and with its transfers."""
+    """Return a polished motion with the plan's content, whose crossing times and transfers are those of the motion.
+
+    Scores and views need the content.
+    """
     content, n = plan.content, plan.itinerary.model.arms.count
     times = _crossed(plan.reference, motion).times
     angles = motion.state(motion.mesh[0] + np.array(times))[:, :n].tolist()
@@ -411,11 +490,11 @@ def _noted(plan: Plan, motion: Reference) -> Reference:
         else replace(symbol, time=time, section=replace(symbol.section, angles=tuple(place)))
         for symbol, time, place in zip(content.symbols, times, angles, strict=True)
     )
-    ways = [
+    transfers = [
         (cost.text, begin, tail(motion, begin, seconds=end - begin, turns=np.zeros(n)))
         for cost, (begin, end) in zip(content.costs, content.transfers, strict=True)
     ]
-    content = replace(content, symbols=symbols, costs=transfer_costs(ways), key=_key(plan))
+    content = replace(content, symbols=symbols, costs=transfer_costs(transfers), key=_key(plan))
     return replace(motion, plan=replace(content, polished=nearness(replace(motion, plan=content))))
 
 
@@ -433,7 +512,14 @@ def nearness(plan: Reference) -> tuple[float, ...]:
 
 
 def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Progress) -> Iterator[Side]:
-    """Yield the figures of plans by name, from `runs` runs at each mismatch."""
+    """Yield the figures of both plans, with success rates from `runs` runs at each mismatch.
+
+    Args:
+        plans: names and plans.
+        runs: number of runs of a plan at a mismatch.
+        workers: number of processes.
+        progress: receiver of progress reports.
+    """
     jobs = {
         (name, mismatch): Job(
             plan.itinerary.name, plan.archive, plan.itinerary.model.arms,
@@ -442,11 +528,11 @@ def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Pro
         )
         for name, plan in plans for mismatch in MISMATCHES
     }  # fmt: skip
-    ended = in_processes(outcomes, [*jobs.values()], workers, what="jobs flown", progress=progress)
-    done = {job.key: sum(row.completed for row in rows) for job, rows in ended}
+    job_endings = in_processes(outcomes, [*jobs.values()], workers, what="jobs flown", progress=progress)
+    completed_runs = {job.key: sum(row.completed for row in rows) for job, rows in job_endings}
     for name, plan in plans:
         motion = plan.reference
-        shares = {mismatch: wilson(done[jobs[name, mismatch].key], runs) for mismatch in MISMATCHES}
+        shares = {mismatch: wilson(completed_runs[jobs[name, mismatch].key], runs) for mismatch in MISMATCHES}
         yield Side(
             name, motion.effort, motion.max_cart_acceleration,
             motion.max_cart_position, max(nearness(motion)), shares,

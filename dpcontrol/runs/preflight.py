@@ -51,9 +51,12 @@ optimize = Later("scipy.optimize")
 
 @dataclass(frozen=True)
 class SettingChange:
-    """A change: its text, its options of `dpcontrol run`, and advice.
+    """A change of a run's settings that may complete more runs.
 
-    Preflights try only changes with advice.
+    Attributes:
+        text: the change as a noun phrase.
+        options: its options of `dpcontrol run`, by path.
+        advice: advice to the user, or "" for a change that preflights do not try.
     """
 
     text: str
@@ -62,42 +65,47 @@ class SettingChange:
 
 
 def _fewest_counts(itinerary: Itinerary) -> int:
-    """Return the counts per turn of the coarsest encoder, 0 if none rounds."""
+    """Return the counts per turn of the coarsest encoder, which limits the estimate; 0 without rounding."""
     return min(itinerary.loop.counts(itinerary.model.arms.count), default=0)
 
 
 def changes(itinerary: Itinerary) -> Iterator[Sequence[SettingChange]]:
-    """Yield the possible changes of each kind, smallest first.
+    """Yield the changes that may complete more runs, by kind, the smallest of a kind first.
+
+    There are kinds for more travel, for each trouble of the bench (half of it, and none), for better encoders, and for
+    other settings of the loop.
 
     Args:
         itinerary: itinerary of the run.
     """
     loop = itinerary.loop
     limit, drive = loop.travel or itinerary.limits.position, loop.drive
-    wide, *wider = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * itinerary.limits.position)))
+    more_travel, *most_travel = map(_short, (1.5 * limit, 2 * limit, max(4 * limit, 2 * itinerary.limits.position)))
     yield (
-        SettingChange(f"a travel of ±{wide:g} m", {"travel": wide}, f"more travel: ±{wide:g} m"),
-        *(SettingChange(f"a travel of ±{more:g} m", {"travel": more}) for more in wider),
+        SettingChange(f"a travel of ±{more_travel:g} m", {"travel": more_travel}, f"more travel: ±{more_travel:g} m"),
+        *(SettingChange(f"a travel of ±{travel:g} m", {"travel": travel}) for travel in most_travel),
     )
     for trouble in TROUBLES:
-        value, tried = setting_of(loop, trouble.setting), []
-        if value == trouble.nothing or (trouble.setting == "knock_impulse" and not loop.disturbances.knocks_per_minute):
+        present_value, changes_of_trouble = setting_of(loop, trouble.setting), []
+        if present_value == trouble.nothing or (
+            trouble.setting == "knock_impulse" and not loop.disturbances.knocks_per_minute
+        ):
             continue
         if trouble.halves:
             smaller = (
-                tuple(_short(v / 2) for v in value)
-                if isinstance(value, tuple)
-                else _short((value + trouble.nothing) / 2)
+                tuple(_short(number / 2) for number in present_value)
+                if isinstance(present_value, tuple)
+                else _short((present_value + trouble.nothing) / 2)
             )
-            half, text = {trouble.setting: smaller}, f"half the {trouble.name}"
-            tried.append(SettingChange(text, half, trouble.remedy and f"{trouble.remedy}: {text}"))
+            options, text = {trouble.setting: smaller}, f"half the {trouble.name}"
+            changes_of_trouble.append(SettingChange(text, options, trouble.remedy and f"{trouble.remedy}: {text}"))
         if trouble.removed:
-            tried.append(SettingChange(f"no {trouble.name}", {trouble.setting: trouble.nothing}))
-        yield tried
+            changes_of_trouble.append(SettingChange(f"no {trouble.name}", {trouble.setting: trouble.nothing}))
+        yield changes_of_trouble
     counts = 4 * _fewest_counts(itinerary)
     # The delay stays the same in seconds.
     delay = {"delay": _short(drive.delay * _QUICK / loop.rate)} if drive.delay else {}
-    law = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
+    other_law = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
     other_changes = (
         (
             drive.lag and loop.drive_lag != drive.lag,
@@ -111,19 +119,19 @@ def changes(itinerary: Itinerary) -> Iterator[Sequence[SettingChange]]:
         (loop.keep != "none", SettingChange("no keeper of the stops", {"keep": "none"})),
         (
             loop.keep == "none" and itinerary.stay is None,
-            SettingChange(f"{law} as the law", {"controller": law}, f"another law: {law}"),
+            SettingChange(f"{other_law} as the law", {"controller": other_law}, f"another law: {other_law}"),
         ),
     )
-    yield from ((change,) for helps, change in other_changes if helps)
+    yield from ((change,) for applies, change in other_changes if applies)
 
 
 def _short(value: float) -> float:
-    """Return a value with four digits, which an option reproduces exactly."""
+    """Return a value rounded to four digits, which an option on the command line reproduces exactly."""
     return float(f"{value:.4g}")
 
 
 _QUICK = 1000.0
-"""Hz."""
+"""Rate that slower loops are advised to use, Hz."""
 
 
 ASSUMED_MISMATCH = 0.05
@@ -151,7 +159,14 @@ class PreflightSettings(Settings, table="preflight"):
 
 
 class RunEnd(NamedTuple):
-    """Ending of one seed."""
+    """Ending of the run of one seed, as it is cached.
+
+    Attributes:
+        seed: seed of the run.
+        completed: True if the run completed its plan.
+        cause: cause of a failure.
+        reason: reason of a failure, a sentence.
+    """
 
     seed: int
     completed: bool
@@ -161,14 +176,16 @@ class RunEnd(NamedTuple):
 
 @dataclass(frozen=True)
 class Hazard:
-    """A trouble whose border is sought.
+    """A trouble whose border is sought: the value that halves the number of completed runs.
 
     Attributes:
-        trouble: row of the table.
+        trouble: row of the table of troubles.
         name: name of the border.
         set: the bench's present value.
-        first, end: first and last value of the search.
-        step: resolution of values.
+        first: first value of the search.
+        end: last value of the search.
+        shown: factor from the setting to the unit in which the border is shown.
+        step: resolution of values, 0 for none.
         besides: further settings.
     """
 
@@ -182,7 +199,7 @@ class Hazard:
     besides: tuple[tuple[str, Any], ...] = ()
 
     def place(self, value: float) -> float:
-        """Return a value's place on a scale of severity.
+        """Return a value's place on a logarithmic scale of severity, on which the border is bracketed.
 
         Args:
             value: value of the setting.
@@ -190,11 +207,11 @@ class Hazard:
         Returns:
             The place, minus infinity if there is no trouble.
         """
-        none = value == 0 or math.isinf(value)
-        return -math.inf if none else -math.log(value) if self.trouble.falling else math.log(value)
+        is_absent = value == 0 or math.isinf(value)
+        return -math.inf if is_absent else -math.log(value) if self.trouble.falling else math.log(value)
 
     def value(self, place: float) -> float:
-        """Return the value at a place.
+        """Return the value of the setting at a place on the scale of severity.
 
         Args:
             place: place on the scale of severity.
@@ -205,7 +222,7 @@ class Hazard:
 
 @dataclass(frozen=True)
 class _Task:
-    """Search for a border or trial of a change.
+    """Search for a border or trial of a change, which a worker carries out.
 
     Attributes:
         of: hazard or change.
@@ -225,6 +242,7 @@ class _Task:
 
 
 def _do(task: _Task) -> HazardBorder | Improvement:
+    """Carry out a task and return the border of its hazard, or the improvement by its change."""
     return _change(task, task.of) if isinstance(task.of, SettingChange) else _border(task, task.of)
 
 
@@ -241,7 +259,10 @@ def outcomes(job: Job, most: int = MOST_TICKS) -> tuple[RunEnd, ...]:
     file = cache_file("preflights", job.itinerary, job.key)
     if (content := kept(file)) is not None:
         return tuple(RunEnd(*row) for row in json.loads(content))
-    rows = tuple(RunEnd(r["seed"], r["completed"], r["cause"], r["reason"]) for r in run_job(job))
+    rows = tuple(
+        RunEnd(row_of_run["seed"], row_of_run["completed"], row_of_run["cause"], row_of_run["reason"])
+        for row_of_run in run_job(job)
+    )
     keep(file, json.dumps(rows).encode())
     return rows
 
@@ -251,21 +272,28 @@ _SURE = 0.98
 _NARROW = math.log(1.3)
 """Width of the final bracket of the border, as the logarithm of a ratio."""
 _MOST_VALUES = 8
+"""Largest number of values of a trouble that are run to bracket its border."""
 
 
 def _border(search: _Task, hazard: Hazard) -> HazardBorder:
-    """Return the border of a hazard: the value that halves the present number of completed runs."""
+    """Return the border of a hazard: the value that halves the present number of completed runs.
+
+    The border is bracketed by doubling from the first value, then narrowed by interpolation on a logarithmic scale.
+    `search` has the seeds, and their endings on the present bench.
+    """
     points: dict[float, ShareAt] = {}
 
     def share(place: float) -> float:
+        """Return the share of completed runs at a place, relative to the present bench; each value runs once."""
         value = hazard.value(place)
         if value not in points:
             points[value] = _point(search, hazard, value)
         return points[value].share
 
-    def border_at(at: Sequence[float | None]) -> HazardBorder:
+    def border_at(places: Sequence[float | None]) -> HazardBorder:
+        """Return the border with the ends of its interval at places on the scale of severity, None if unknown."""
         trouble = hazard.trouble
-        ends = [None if p is None else hazard.shown * math.exp(-p if trouble.falling else p) for p in at]
+        ends = [None if p is None else hazard.shown * math.exp(-p if trouble.falling else p) for p in places]
         shown = [replace(p, value=hazard.shown * p.value) for p in points.values()]
         return HazardBorder(
             hazard.name, trouble.setting, trouble.unit, hazard.shown * hazard.set, border=ends[0], low=ends[1],
@@ -287,9 +315,9 @@ def _border(search: _Task, hazard: Hazard) -> HazardBorder:
         place = bad - math.log(3)
         good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
     while bad - good > _NARROW and len(points) < _MOST_VALUES:
-        above = 1.0 if good == present else share(good)
-        along = (above - 0.5) / (above - share(bad))
-        place = good + float(np.clip(along, 0.3, 0.7)) * (bad - good)
+        share_at_good = 1.0 if good == present else share(good)
+        fraction = (share_at_good - 0.5) / (share_at_good - share(bad))
+        place = good + float(np.clip(fraction, 0.3, 0.7)) * (bad - good)
         if hazard.value(place) in points:
             break
         good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
@@ -299,53 +327,71 @@ def _border(search: _Task, hazard: Hazard) -> HazardBorder:
 
 
 def _point(search: _Task, hazard: Hazard, value: float, *, until_clear: bool = True) -> ShareAt:
-    """Run a value on blocks of seeds until its side of the border is clear, or on all seeds."""
+    """Run one value of a trouble, and return its completed runs beside those of the present bench.
+
+    Args:
+        search: task with the seeds, and their endings on the present bench.
+        hazard: the trouble.
+        value: value of its setting.
+        until_clear: run blocks of seeds until it is clear on which side of the border the value is; otherwise all
+            seeds.
+    """
     job = search.job
     loop = overridden(job.case.loop, {hazard.trouble.setting: value, **dict(hazard.besides)})
-    done = of = used = 0
-    while used < len(job.seeds):
-        block = slice(used, len(job.seeds) if used else min(search.block, len(job.seeds)))
+    completed = reference = seeds_used = 0
+    while seeds_used < len(job.seeds):
+        block = slice(seeds_used, len(job.seeds) if seeds_used else min(search.block, len(job.seeds)))
         seeds = replace(job, case=replace(job.case, loop=loop), seeds=job.seeds[block])
-        done += sum(row.completed for row in outcomes(seeds, search.most))
-        of += sum(search.completed[block])
-        used = block.stop
-        seen = wilson(min(done, of), of, confidence=_SURE)
-        if until_clear and of and not seen.low <= 0.5 <= seen.high:
+        completed += sum(row.completed for row in outcomes(seeds, search.most))
+        reference += sum(search.completed[block])
+        seeds_used = block.stop
+        interval = wilson(min(completed, reference), reference, confidence=_SURE)
+        if until_clear and reference and not interval.low <= 0.5 <= interval.high:
             break
-    return ShareAt(value, used, done, of)
+    return ShareAt(value, seeds_used, completed, reference)
 
 
 def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
-    """Return the places where the share and each end of its 95 % interval are one half, or None."""
-    ordered = sorted(points, key=lambda p: hazard.place(p.value))
-    places = [hazard.place(p.value) for p in ordered]
-    weights = [max(p.reference, 1) for p in ordered]
-    shares = optimize.isotonic_regression([p.share for p in ordered], weights=weights, increasing=False).x
-    bands = [wilson(min(p.completed, p.reference), p.reference) for p in ordered]
+    """Return the places on the scale of severity at which three curves are one half, or None for each.
+
+    The curves are the share of completed runs and the ends of its 95 % interval. A falling curve is fitted to the
+    points, because more of a trouble cannot help.
+    """
+    ordered = sorted(points, key=lambda point: hazard.place(point.value))
+    places = [hazard.place(point.value) for point in ordered]
+    weights = [max(point.reference, 1) for point in ordered]
+    shares = optimize.isotonic_regression([point.share for point in ordered], weights=weights, increasing=False).x
+    bands = [wilson(min(point.completed, point.reference), point.reference) for point in ordered]
     low = np.minimum.accumulate([band.low for band in bands])
     high = np.maximum.accumulate([band.high for band in bands][::-1])[::-1]
     present = hazard.place(hazard.set)
     start = [present] if math.isfinite(present) and present < places[0] else []
-    x = np.array([*start, *places])
-    return [_crossing(x, np.concatenate([np.ones(len(start)), curve])) for curve in (shares, low, high)]
+    severities = np.array([*start, *places])
+    return [_crossing(severities, np.concatenate([np.ones(len(start)), curve])) for curve in (shares, low, high)]
 
 
 def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | None:
-    """Return the point where a falling, piecewise linear curve is one half, or None."""
+    """Return the place at which a falling, piecewise linear curve is one half, or None.
+
+    Args:
+        x: places (M,), rising.
+        falls: values (M,) of the curve.
+    """
     below = np.flatnonzero(falls < 0.5)
     if not below.size or not below[0]:
         return None
-    k = int(below[0])
-    along = (falls[k - 1] - 0.5) / (falls[k - 1] - falls[k])
-    return float(x[k - 1] + along * (x[k] - x[k - 1]))
+    row = int(below[0])
+    fraction = (falls[row - 1] - 0.5) / (falls[row - 1] - falls[row])
+    return float(x[row - 1] + fraction * (x[row] - x[row - 1]))
 
 
 def _change(trial: _Task, change: SettingChange) -> Improvement:
-    before = trial.completed
-    pairs = paired(before, [row.completed for row in outcomes(trial.job, trial.most)])
+    """Return the improvement by a change: the runs that it rescues and loses on the seeds of its trial."""
+    present_runs = trial.completed
+    pairs = paired(present_runs, [row.completed for row in outcomes(trial.job, trial.most)])
     return Improvement(
-        change.advice, dict(change.options), pairs.only_second, before.count(False), pairs.only_first,
-        before.count(True), trial.rate, typed(change.options),
+        change.advice, dict(change.options), pairs.only_second, present_runs.count(False), pairs.only_first,
+        present_runs.count(True), trial.rate, typed(change.options),
     )  # fmt: skip
 
 
@@ -356,7 +402,7 @@ _AHEAD = 0.15
 
 
 def seconds_of(loop: LoopSettings) -> float:
-    """Return the processor time of one tick with these settings, s.
+    """Return the processor time of one tick with these settings, s, by which costs are announced.
 
     Args:
         loop: settings of the run.
@@ -372,9 +418,14 @@ This is two minutes of two processors, less start-up and compilation.
 
 
 class _Amounts(NamedTuple):
-    """Numbers of seeds: for the rate, for the first and last points of a border, and for each kind of a change.
+    """Numbers of runs of a preflight.
 
-    The last number is that of the kinds of borders.
+    Attributes:
+        rate: seeds for the rate.
+        block: seeds for the first points of a border.
+        border: seeds for its last points.
+        change: failed seeds for each change, and as many completed ones.
+        kinds: number of borders.
     """
 
     rate: int
@@ -385,21 +436,22 @@ class _Amounts(NamedTuple):
 
     @classmethod
     def of(cls, rate: int, kinds: int = 10) -> "_Amounts":
-        """Return the amounts for a number of seeds of the rate."""
+        """Return the amounts that suit a number of seeds for the rate."""
         if rate <= _FEW:
             return cls(rate, min(24, rate), min(48, rate), max(rate // 8, 8), kinds)
         return cls(rate, 64, rate // 2, min(SAMPLED, rate // 4), kinds)
 
     @property
     def runs(self) -> int:
-        """Approximate upper bound of the runs."""
-        changed = _CHANGES * min(2 * self.change, self.rate) if self.kinds else 0
-        return self.rate + self.kinds * (3 * self.block + 2 * self.border) + changed
+        """Approximate upper bound of all runs, from which the cost is estimated."""
+        runs_of_changes = _CHANGES * min(2 * self.change, self.rate) if self.kinds else 0
+        return self.rate + self.kinds * (3 * self.block + 2 * self.border) + runs_of_changes
 
 
 _FEW = 128
 """Seeds for the rate up to which borders and changes use the fewest informative seeds."""
 _CHANGES = 9
+"""Number of changes that a preflight usually tries."""
 _CHOICES = (
     *map(_Amounts.of, (320, 256, 192, 160, 128, 96, 64, 48, 32)),
     *(_Amounts.of(32, kinds) for kinds in (6, 4, 2, 1)),
@@ -409,7 +461,13 @@ _CHOICES = (
 
 
 def _amounts(seeds: int, seconds: float, *, lockstep: bool) -> _Amounts:
-    """Return the numbers of seeds for a chosen number for the rate, or as many as are affordable at `seconds` each."""
+    """Return the amounts for a requested number of seeds for the rate, or the largest that are affordable.
+
+    Args:
+        seeds: requested seeds for the rate, 0 for as many as are affordable.
+        seconds: processor time of a run, s.
+        lockstep: False for runs that are too slow to search for borders.
+    """
     if seeds:
         return _Amounts.of(seeds)
     choices = (amounts if lockstep else amounts._replace(kinds=0) for amounts in _CHOICES)
@@ -423,7 +481,7 @@ _FIRST = 8
 
 
 def _seconds(job: Job, amounts: _Amounts, most: int, workers: int) -> float:
-    """Return the likely duration of a preflight on this machine, s, as its first seeds show it.
+    """Return the likely duration of a preflight on this machine, s, measured on its first seeds.
 
     Args:
         job: first seeds of the rate.
@@ -431,14 +489,14 @@ def _seconds(job: Job, amounts: _Amounts, most: int, workers: int) -> float:
         most: number of seeds at once.
         workers: number of processes.
     """
-    times = [time.process_time()]
+    clock_times = [time.process_time()]
     for seeds in (job.seeds[:_FIRST], job.seeds):
         outcomes(replace(job, seeds=seeds), most)
-        times.append(time.process_time())
-    first, measured = np.diff(times).tolist()
+        clock_times.append(time.process_time())
+    first_seconds, job_seconds = np.diff(clock_times).tolist()
     # Two groups of processes follow one another. Each compiles, and the second does so for several delays.
-    started = 2 * (_STARTED + 2 * first) if workers > 1 else 2 * first
-    return amounts.runs * measured / len(job.seeds) / workers + started
+    startup = 2 * (_STARTED + 2 * first_seconds) if workers > 1 else 2 * first_seconds
+    return amounts.runs * job_seconds / len(job.seeds) / workers + startup
 
 
 def preflight(
@@ -463,7 +521,7 @@ def preflight(
         GoalMissed: the plan did not converge, no controller can be made for it, or a process died.
     """
     began, options, settings = time.perf_counter(), options or {}, settings or PreflightSettings()
-    itinerary, facts = with_known_errors(plan.followed().itinerary, options)
+    itinerary, errors = with_known_errors(plan.followed().itinerary, options)
     loop, name = itinerary.loop, itinerary.name
     ticks = max(round(plan.reference.duration * loop.rate), 1)
     lockstep, tick = loop.lockstep, seconds_of(loop)
@@ -483,8 +541,8 @@ def preflight(
     if kept(cache_file("preflights", name, jobs[0].key)) is None:
         remark(replace(cost, seconds=_seconds(jobs[0], amounts, most, workers)).sentence)
     parts = in_processes(outcomes, jobs, workers, what="jobs for the rate", progress=part_of(progress, 0.0, 0.15))
-    ordered = sorted(row for _, part in parts for row in part)
-    completed = [row.completed for row in ordered]
+    ends = sorted(row for _, part in parts for row in part)
+    completed = [row.completed for row in ends]
     share = wilson(sum(completed), len(completed), confidence=settings.confidence)
     notes = _notes(itinerary, loop)
     most_delay = _AFFORD_DELAY / (3 * amounts.block * ticks * _TICK * _AHEAD)
@@ -493,8 +551,8 @@ def preflight(
     if amounts.kinds:
         tasks += _searches(kinds[: amounts.kinds], job, completed, amounts, most, notes)
         tasks += _trials(itinerary, job, completed, amounts.change, most)
-    if left := ", ".join(kind.name for kind in kinds[amounts.kinds :]):
-        notes.append(f"two minutes do not suffice for the borders of {left}: --runs 32 finds them")
+    if omitted := ", ".join(kind.name for kind in kinds[amounts.kinds :]):
+        notes.append(f"two minutes do not suffice for the borders of {omitted}: --runs 32 finds them")
     work = in_processes(_do, tasks, workers, what="borders and changes", progress=part_of(progress, 0.15, 1.0))
     results = [result for _, result in work]
     borders = [b for b in results if isinstance(b, HazardBorder)]
@@ -504,9 +562,9 @@ def preflight(
         model=itinerary.model.name,
         share=share,
         confidence=settings.confidence,
-        known=tuple(facts),
+        known=tuple(errors),
         notes=tuple(notes),
-        endings=endings(ordered),
+        endings=endings(ends),
         borders=tuple(sorted(borders, key=lambda b: (b.margin is None, b.margin or 0.0, b.name))),
         changes=tuple(sorted((c for c in results if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
         seconds=time.perf_counter() - began,
@@ -515,7 +573,7 @@ def preflight(
 
 
 def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
-    """Return the causes of failed runs, the most frequent first.
+    """Return the causes of failed runs with an example of each, the most frequent first.
 
     Args:
         ends: endings of all runs.
@@ -539,51 +597,60 @@ def with_known_errors(itinerary: Itinerary, options: Mapping[str, Any]) -> tuple
         InputError: an impossible setting.
     """
     set_names = {path.rpartition(".")[2] for path in canonical(options)}
-    identified = itinerary.model.uncertainty is not None
-    chosen = itinerary.with_run(options)
-    if identified and not {"mismatch", "model_uncertainty"} & set_names and not itinerary.loop.model_uncertainty:
-        chosen = chosen.with_run({"model_uncertainty": 1.0, "mismatch": 0.0})
-    drawn = chosen.loop.model_uncertainty or chosen.loop.mismatch or chosen.loop.plant is not None
-    assumed = not drawn and "mismatch" not in set_names
-    chosen = chosen.with_run({"mismatch": ASSUMED_MISMATCH}) if assumed else chosen
-    loop, file = chosen.loop, f"[run] of {itinerary.path.name}"
+    is_identified = itinerary.model.uncertainty is not None
+    drawn_itinerary = itinerary.with_run(options)
+    if is_identified and not {"mismatch", "model_uncertainty"} & set_names and not itinerary.loop.model_uncertainty:
+        drawn_itinerary = drawn_itinerary.with_run({"model_uncertainty": 1.0, "mismatch": 0.0})
+    is_drawn = (
+        drawn_itinerary.loop.model_uncertainty
+        or drawn_itinerary.loop.mismatch
+        or drawn_itinerary.loop.plant is not None
+    )
+    assumes_mismatch = not is_drawn and "mismatch" not in set_names
+    drawn_itinerary = drawn_itinerary.with_run({"mismatch": ASSUMED_MISMATCH}) if assumes_mismatch else drawn_itinerary
+    loop, file = drawn_itinerary.loop, f"[run] of {itinerary.path.name}"
 
-    def of(*names: str) -> str:
+    def source_of(*names: str) -> str:
         return "given" if any(name in set_names for name in names) else file
 
     drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
     limit, counts = loop.travel or itinerary.limits.position, _fewest_counts(itinerary)
-    unknown = "" if identified else f"; {itinerary.model.path.name} has no [uncertainty]"
-    source = ("assumed" if assumed else of("mismatch")) + unknown
+    remark_on_model = "" if is_identified else f"; {itinerary.model.path.name} has no [uncertainty]"
+    source = ("assumed" if assumes_mismatch else source_of("mismatch")) + remark_on_model
     identified_by = f"identified: {itinerary.model.path.name}"
     mechanics = {key: np.atleast_1d(getattr(loop.mechanics, key)) for key in _MECHANICS}
     units = {key: leaves_of(MechanicsSettings)[key].bounds.unit for key in _MECHANICS}
     rows = [
         (loop.model_uncertainty, "arms", f"standard errors × {loop.model_uncertainty:g}", identified_by),
-        (loop.plant is not None, "plant", "other arms", of("plant")),
+        (loop.plant is not None, "plant", "other arms", source_of("plant")),
         (
             loop.mismatch or not loop.model_uncertainty,
             "arms",
             f"each parameter off by up to ±{loop.mismatch:.3g}",
             source,
         ),
-        (True, "start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
-        (True, "delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
-        (True, "lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
-        (True, "encoders", f"{counts:,} counts a turn" if counts else "not rounded", of("counts")),
-        (True, "zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
-        (True, "travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {itinerary.path.name}"),
-        (drive.command_noise, "command noise", f"{drive.command_noise:g} m/s²", of("command_noise")),
-        (sensors.noise, "encoder noise", f"{sensors.noise:g} rad", of("noise")),
-        (blows.tilt, "tilt", f"{blows.tilt:g} rad", of("tilt")),
-        (blows.pushes and blows.push_impulse, "blows", f"{blows.push_impulse:g} N m s", of("push_impulse")),
+        (True, "start", f"each angle off by up to ±{loop.initial_error:g} rad", source_of("initial_error")),
+        (True, "delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", source_of("delay")),
+        (True, "lag", f"{1e3 * drive.lag:.3g} ms", source_of("lag")),
+        (True, "encoders", f"{counts:,} counts a turn" if counts else "not rounded", source_of("counts")),
+        (True, "zeros", f"off by up to ±{sensors.zero_error:g} rad", source_of("zero_error")),
+        (True, "travel", f"±{limit:g} m", source_of("travel") if loop.travel else f"[limits] of {itinerary.path.name}"),
+        (drive.command_noise, "command noise", f"{drive.command_noise:g} m/s²", source_of("command_noise")),
+        (sensors.noise, "encoder noise", f"{sensors.noise:g} rad", source_of("noise")),
+        (blows.tilt, "tilt", f"{blows.tilt:g} rad", source_of("tilt")),
+        (blows.pushes and blows.push_impulse, "blows", f"{blows.push_impulse:g} N m s", source_of("push_impulse")),
         *(
-            (values.any(), key.replace("_", " "), f"{' and '.join(f'{v:g}' for v in values)} {units[key]}", of(key))
+            (
+                values.any(),
+                key.replace("_", " "),
+                f"{' and '.join(f'{value:g}' for value in values)} {units[key]}",
+                source_of(key),
+            )
             for key, values in mechanics.items()
         ),
-        (True, "control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")),
+        (True, "control", f"{loop.controller.kind} with {loop.estimator.kind}", source_of("controller", "estimator")),
     ]
-    return chosen, [Assumption(*row) for listed, *row in rows if listed]
+    return drawn_itinerary, [Assumption(*row) for is_listed, *row in rows if is_listed]
 
 
 _MECHANICS = ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "initial_rate", "initial_cart")
@@ -591,6 +658,7 @@ _MECHANICS = ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "in
 
 
 def _notes(itinerary: Itinerary, loop: LoopSettings) -> list[str]:
+    """Return warnings about settings that make the forecast too favourable."""
     measured = {"lag": loop.drive.lag, "zero_error": loop.sensors.zero_error}
     unmeasured = [name for name, value in measured.items() if not value]
     notes = (
@@ -604,22 +672,30 @@ def _notes(itinerary: Itinerary, loop: LoopSettings) -> list[str]:
             f"{itinerary.name} --rig ADDRESS --write`, or give an estimate",
         ),
     )
-    return [note for holds, note in notes if holds]
+    return [note for applies, note in notes if applies]
 
 
 def _searches(
     kinds: Sequence[Hazard], job: Job, completed: Sequence[bool], amounts: _Amounts, most: int, notes: list[str]
 ) -> list[_Task]:
-    """Return the searches for borders, or none and the reasons in `notes`.
+    """Return the searches for borders, or none if too few runs complete; the reason is then added to `notes`.
 
-    Notes receives the reasons if there are none.
+    Args:
+        kinds: hazards in order of importance.
+        job: all seeds of the rate on the present bench.
+        completed: their endings.
+        amounts: numbers of seeds.
+        most: largest number of seeds at once.
+        notes: list that receives the reason.
     """
-    done = sum(completed)
-    if done < _FEWEST:
-        notes.append(f"only {done} of {len(completed)} runs complete: too few to find borders; see the useful changes")
+    completed_runs = sum(completed)
+    if completed_runs < _FEWEST:
+        notes.append(
+            f"only {completed_runs} of {len(completed)} runs complete: too few to find borders; see the useful changes"
+        )
         return []
     # If few runs complete, more seeds give the same number of completed runs.
-    count = min(math.ceil(amounts.border * max(1.0, 0.6 * len(completed) / done)), len(completed))
+    count = min(math.ceil(amounts.border * max(1.0, 0.6 * len(completed) / completed_runs)), len(completed))
     counts = [amounts.block if kind.trouble.in_periods else count for kind in kinds]
     return [
         _Task(kind, replace(job, seeds=job.seeds[:seeds]), tuple(completed[:seeds]), most, amounts.block)
@@ -632,7 +708,7 @@ _FEWEST = 8
 
 
 def hazards(plan: Plan, itinerary: Itinerary, *, most_delay: float) -> list[Hazard]:
-    """Return the troubles with borders, with the bench's present values.
+    """Return the troubles whose borders are sought, with the bench's present values.
 
     Prediction over a delay takes time in proportion, and each delay needs separate code. Its border is therefore sought
     within 40 ms and on few seeds.
@@ -644,19 +720,19 @@ def hazards(plan: Plan, itinerary: Itinerary, *, most_delay: float) -> list[Haza
     """
     loop = itinerary.loop
     python_plant = isinstance(loop.plant, OwnPlant) and not loop.plant.own.symbolic
-    pushes, rig = loop.disturbances.pushes, loop.mechanics
-    travel, least = loop.limits(plan.reference.limits).position, plan.reference.max_cart_position
+    pushes, mechanics = loop.disturbances.pushes, loop.mechanics
+    travel, reference_travel = loop.limits(plan.reference.limits).position, plan.reference.max_cart_position
     # The loop's model of the bench stays unchanged.
     corrections = (
         ("known_belt", loop.known_belt),
-        ("known_play", rig.of_each("known_play", itinerary.model.arms.count)),
+        ("known_play", mechanics.of_each("known_play", itinerary.model.arms.count)),
     )
     besides = {"push_impulse": (("pushes", pushes or 2),), "belt": corrections, "play": corrections}
     present = {
         "push_impulse": loop.disturbances.push_impulse if pushes else 0.0,
         "counts": _fewest_counts(itinerary) or math.inf,
         "travel": travel,
-        "belt": rig.belt or math.inf,
+        "belt": mechanics.belt or math.inf,
     }
     searches = []
     for trouble in TROUBLES:
@@ -668,16 +744,18 @@ def hazards(plan: Plan, itinerary: Itinerary, *, most_delay: float) -> list[Haza
             or (python_plant and trouble.setting not in _WITH_OWN_PLANT)
         ):
             continue
-        first, end, shown = trouble.first, trouble.last, trouble.shown
+        first, end, display_factor = trouble.first, trouble.last, trouble.shown
         if trouble.in_periods:
-            first, shown = first * loop.rate, shown / loop.rate
+            first, display_factor = first * loop.rate, display_factor / loop.rate
             end = max(min(end * loop.rate, most_delay), 2 * value, 2)
         elif trouble.setting == "travel":
             # A reference whose cart stays at the centre needs some travel as well.
-            end = max(least, 1e-3 * travel)
+            end = max(reference_travel, 1e-3 * travel)
         step = 1.0 if trouble.in_periods or trouble.setting == "counts" else 0.0
         name = trouble.border.format(pushes=pushes or 2)
-        searches.append(Hazard(trouble, name, abs(value), first, end, shown, step, besides.get(trouble.setting, ())))
+        searches.append(
+            Hazard(trouble, name, abs(value), first, end, display_factor, step, besides.get(trouble.setting, ()))
+        )
     return searches
 
 
@@ -686,17 +764,27 @@ _WITH_OWN_PLANT = ("delay", "push_impulse", "zero_error", "counts", "travel", "i
 
 
 def _trials(itinerary: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Task]:
-    """Return the changes to try, each kind on `count` seeds, or none if every run completes."""
+    """Return the trials of all changes with advice, each on the same failed and completed seeds.
+
+    There are none if every run completes.
+
+    Args:
+        itinerary: itinerary with known errors.
+        job: all seeds of the rate on the present bench.
+        completed: their endings.
+        count: largest number of failed seeds, and of completed ones.
+        most: largest number of seeds at once.
+    """
     if all(completed):
         return []
-    failing = [k for k, done in enumerate(completed) if not done][:count]
-    completing = [k for k, done in enumerate(completed) if done][:count]
-    chosen = sorted([*failing, *completing])
-    seeds, before = tuple(job.seeds[k] for k in chosen), tuple(completed[k] for k in chosen)
+    failed = [k for k, is_completed in enumerate(completed) if not is_completed][:count]
+    successful = [k for k, is_completed in enumerate(completed) if is_completed][:count]
+    indices = sorted([*failed, *successful])
+    seeds, present_endings = tuple(job.seeds[k] for k in indices), tuple(completed[k] for k in indices)
     rate = sum(completed) / len(completed)
-    advised = [change for group in changes(itinerary) for change in group if change.advice]
-    changed = [replace(job.case, loop=itinerary.with_run(change.options).loop) for change in advised]
+    advised_changes = [change for group in changes(itinerary) for change in group if change.advice]
+    changed_cases = [replace(job.case, loop=itinerary.with_run(change.options).loop) for change in advised_changes]
     return [
-        _Task(change, replace(job, case=case, seeds=seeds), before, most, rate=rate)
-        for change, case in zip(advised, changed, strict=True)
+        _Task(change, replace(job, case=case, seeds=seeds), present_endings, most, rate=rate)
+        for change, case in zip(advised_changes, changed_cases, strict=True)
     ]

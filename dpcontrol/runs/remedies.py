@@ -38,7 +38,13 @@ _LEVEL = 0.02
 
 @dataclass(frozen=True)
 class Completed:
-    """Numbers of completed runs among `of` variants of the failed run and among `of` neighbouring seeds."""
+    """Numbers of completed runs in the two groups with which changes are compared.
+
+    Attributes:
+        same_seed: completed variants of the failed run.
+        neighbours: completed runs of neighbouring seeds.
+        of: number of runs in each group.
+    """
 
     same_seed: int
     neighbours: int
@@ -73,9 +79,14 @@ class TriedChange:
 
 @dataclass(frozen=True)
 class Why(Documented):
-    """Changes tried for a failed run.
+    """Changes tried for a failed run, with those that complete it.
 
-    reason: of the failure. unchanged: the null group's count.
+    Attributes:
+        log: name of the log.
+        seed: seed of the run, or None.
+        reason: reason of the failure.
+        trials: changes in the order of their trials.
+        unchanged: completed runs of the null group, None if no change was tried.
     """
 
     KEYS: ClassVar[str] = "* saves sentence"
@@ -115,7 +126,7 @@ class Why(Documented):
         return text
 
     def lines(self) -> list[str]:
-        """Return the evidence for each remedy."""
+        """Return the evidence for each remedy: completed runs of both groups, without and with the change."""
         null = self.unchanged
         if null is None:
             return []
@@ -143,7 +154,7 @@ def why(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> Why:
-    """Return the changes that complete a logged run.
+    """Find the changes that complete a logged run more often than harmless changes do.
 
     Args:
         failed: score of the failed run.
@@ -167,36 +178,47 @@ def why(
     size = SAME if lockstep else SAME_ALONE
     ticks = max(round(plan.reference.duration * itinerary.loop.rate), 1)
     workers = workers or processors()
-    each, tried = 2 * size * ticks * seconds_of(itinerary.loop), sum(map(len, groups))
-    cost = (tried + 1) * (each + _OVERHEAD) / workers if lockstep else (tried * 0.3 + 1) * each / workers
-    announce(Cost(f"{tried} changes", cost, 4e8 * workers, f"--why of {itinerary.name}"), yes=yes)
+    seconds_per_change, change_count = 2 * size * ticks * seconds_of(itinerary.loop), sum(map(len, groups))
+    cost = (
+        (change_count + 1) * (seconds_per_change + _OVERHEAD) / workers
+        if lockstep
+        else (change_count * 0.3 + 1) * seconds_per_change / workers
+    )
+    announce(Cost(f"{change_count} changes", cost, 4e8 * workers, f"--why of {itinerary.name}"), yes=yes)
 
-    def jobs(group: Sequence[SettingChange]) -> Iterator[tuple[SettingChange, Job]]:
+    def jobs_of_changes(group: Sequence[SettingChange]) -> Iterator[tuple[SettingChange, Job]]:
+        """Yield the changes of one kind with their jobs, without those that contradict the run's settings."""
         for change in group:
             # The option may contradict the run's other settings.
             with suppress(InputError):
                 yield change, _job(typed(change.options), size)
 
     progress("harmless changes", 0.0)
-    before, _ = _tried(([(SettingChange("", {}), _job(plan, size))], ()))[0]
-    null, trials = Completed(sum(before[:size]), sum(before[size:]), size), list[TriedChange]()
+    null_runs, _ = _tried(([(SettingChange("", {}), _job(plan, size))], ()))[0]
+    null_group, trials = Completed(sum(null_runs[:size]), sum(null_runs[size:]), size), list[TriedChange]()
 
-    pieces: list[_Group] = [(jobs_of_group, before) for group in groups if (jobs_of_group := tuple(jobs(group)))]
-    for (jobs_of, _), results in in_processes(_tried, pieces, workers, what="kinds of changes", progress=progress):
-        for (change, _), (done, verdict) in zip(jobs_of, results, strict=False):
-            trials.append(_judged(change, done, verdict, before, lambda options: flown(typed(options))))
+    job_groups: list[_Group] = [
+        (jobs_of_group, null_runs) for group in groups if (jobs_of_group := tuple(jobs_of_changes(group)))
+    ]
+    for (jobs_of, _), results in in_processes(_tried, job_groups, workers, what="kinds of changes", progress=progress):
+        for (change, _), (change_runs, verdict) in zip(jobs_of, results, strict=False):
+            trials.append(_judged(change, change_runs, verdict, null_runs, lambda options: flown(typed(options))))
     progress("why", 1.0)
-    return Why(failed.log, failed.seed, failed.reason, tuple(trials), null)
+    return Why(failed.log, failed.seed, failed.reason, tuple(trials), null_group)
 
 
 _OVERHEAD = 2.0
-"""s that a lockstep job takes in addition to its ticks."""
+"""Time that a lockstep job takes in addition to its ticks, s."""
 
 
 def _job(plan: Plan, size: int) -> Job:
-    """Return the job of a failed run's variants, the run itself first, and of as many neighbouring seeds."""
+    """Return the job of a failed run's variants, the run itself first, and of as many neighbouring seeds.
+
+    `size` is the number of runs in each of these groups.
+    """
     itinerary, loop = plan.itinerary, plan.itinerary.loop
     seeds = (*[loop.seed] * size, *range(loop.seed + 1, loop.seed + 1 + size))
+    # The first variant is the failed run itself.
     variants = [loop.mismatch * (1 - _HARMLESS * k) if loop.mismatch else 1e-2 * _HARMLESS * k for k in range(size)]
     return Job(
         itinerary.name, plan.archive, itinerary.model.arms, Case("why", (), loop), seeds, "compiled",
@@ -207,34 +229,43 @@ def _job(plan: Plan, size: int) -> Job:
 def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
     """Return completed runs and the first run's verdict of each job, up to the first job that beats the null group.
 
-    If runs are sequential, the rest of a job runs only if its first run is completed.
+    `group` has the jobs of one kind of change, and the null group's completed runs; these are empty for the null group
+    itself. If runs are sequential, the rest of a job runs only if its first run is completed.
     """
     verdicts: list[tuple[tuple[bool, ...], str]] = []
-    (tried, before), first = group, slice(1)
-    for _, job in tried:
-        alone = replace(job, seeds=job.seeds[first], mismatches=job.mismatches[first])
+    (changes_and_jobs, null_runs), failed_run = group, slice(1)
+    for _, job in changes_and_jobs:
+        first_job = replace(job, seeds=job.seeds[failed_run], mismatches=job.mismatches[failed_run])
         try:
-            ended = outcomes(alone if before and not job.case.loop.lockstep else job)
-            if ended[0].completed and len(ended) == 1:
-                ended = outcomes(job)
-        except (GoalMissed, InputError) as missed:
-            verdicts.append(((), str(missed)))
+            run_ends = outcomes(first_job if null_runs and not job.case.loop.lockstep else job)
+            if run_ends[0].completed and len(run_ends) == 1:
+                run_ends = outcomes(job)
+        except (GoalMissed, InputError) as failure:
+            verdicts.append(((), str(failure)))
             continue
-        done = tuple(row.completed for row in ended)
-        verdicts.append((done, ended[0].reason))
-        if done[0] and _beats(done, before):
+        completed = tuple(row.completed for row in run_ends)
+        verdicts.append((completed, run_ends[0].reason))
+        if completed[0] and _beats(completed, null_runs):
             break
     return verdicts
 
 
 def _beats(done: Sequence[bool], before: Sequence[bool]) -> bool:
-    """True if runs are completed significantly more often than the null group, compared pair by pair."""
+    """Return True if a change completes runs significantly more often than the null group, compared pair by pair.
+
+    The null group are the same runs without the change. On neighbouring seeds, the change must rescue at least as many
+    runs as it loses.
+
+    Args:
+        done: completed runs with the change, variants before neighbouring seeds.
+        before: completed runs of the null group, in the same order.
+    """
     if len(done) != len(before):
         return False
-    half = len(done) // 2
-    all_pairs, neighbours = paired(before, done), paired(before[half:], done[half:])
-    surely = all_pairs.only_second > all_pairs.only_first and all_pairs.p_value <= _LEVEL
-    return surely and neighbours.only_second >= neighbours.only_first
+    group_size = len(done) // 2
+    all_pairs, neighbours = paired(before, done), paired(before[group_size:], done[group_size:])
+    is_significant = all_pairs.only_second > all_pairs.only_first and all_pairs.p_value <= _LEVEL
+    return is_significant and neighbours.only_second >= neighbours.only_first
 
 
 def _judged(
@@ -244,9 +275,19 @@ def _judged(
     before: Sequence[bool],
     alone: Callable[[Mapping[str, Any]], Score],
 ) -> TriedChange:
-    """Return a change with its verdict, and if it beats the null group, run it as typed on the command line."""
-    half = len(before) // 2
-    counts = Completed(sum(done[:half]), sum(done[half:]), half) if len(done) == len(before) else None
+    """Return a change with its verdict; if it beats the null group, the failed run is simulated again with it.
+
+    The null group are the same runs without the change.
+
+    Args:
+        change: the change.
+        done: completed runs with the change, variants before neighbouring seeds; empty if they could not run.
+        verdict: reason of the first run's verdict.
+        before: completed runs of the null group.
+        alone: function of options that returns the score of the failed run with them.
+    """
+    group_size = len(before) // 2
+    counts = Completed(sum(done[:group_size]), sum(done[group_size:]), group_size) if len(done) == len(before) else None
     completed = any(done[:1])
     if helps := completed and _beats(done, before):
         score = alone(change.options)

@@ -96,10 +96,11 @@ from dpcontrol.runs.learning import Learnt, learn
 from dpcontrol.runs.remedies import Why, why
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
+"""Names of the attachments of a log that hold the texts of itinerary and model."""
 
 
 def default_log(itinerary: Itinerary) -> Path:
-    """Return NAME-SEED.mcap in the folder of logs.
+    """Return the log of a run without a given name: NAME-SEED.mcap in the folder of logs.
 
     Args:
         itinerary: itinerary with the seed of the run.
@@ -132,6 +133,7 @@ class Run(Timed, Documented):
 
     @cached_property
     def _score(self) -> Score:
+        """Score of the run, computed once."""
         return score(self.log)
 
     @property
@@ -169,10 +171,10 @@ class Run(Timed, Documented):
             InputError: the log is not of a simulated run, lacks what a repetition needs, or it would take too long.
         """
         plan = _plan(self.log)
-        typed = partial(_with_options, plan, planned_itinerary(plan.content))
+        plan_with_options = partial(_with_options, plan, planned_itinerary(plan.content))
         return why(
             self.score(),
-            typed,
+            plan_with_options,
             lambda changed: run_plan(changed).score(),
             workers=workers,
             yes=yes,
@@ -204,6 +206,7 @@ class Run(Timed, Documented):
 
     @cached_property
     def _judged(self) -> Score | None:
+        """Score of the run, or None for a log that lacks what a score needs, such as a recording."""
         return None if lacking(self.log) else self._score
 
     @property
@@ -214,15 +217,15 @@ class Run(Timed, Documented):
     @property
     def difference(self) -> float | None:
         """Largest difference between the commands of a controlling program and the loop's own, m/s²."""
-        noted = self.log.metadata.get("command_difference")
-        return None if noted is None else float(noted)
+        difference_text = self.log.metadata.get("command_difference")
+        return None if difference_text is None else float(difference_text)
 
     @property
     def missed(self) -> str:
         """Reason for which the run is not known to be completed, or ""."""
-        failed = self.failure if "rig" in self.log.metadata or self.object_failed else ""
-        verdict = self._score
-        return f"{'failed' if verdict.completed else 'not completed'}: {failed}" if failed else verdict.missed
+        failure = self.failure if "rig" in self.log.metadata or self.object_failed else ""
+        run_score = self._score
+        return f"{'failed' if run_score.completed else 'not completed'}: {failure}" if failure else run_score.missed
 
     def document(self) -> dict[str, Any]:
         """Return the JSON output of `dpcontrol run`.
@@ -291,7 +294,7 @@ LiveSink = Callable[[RunLog], AbstractContextManager[LoopSink]]
 
 
 def assembled(plan: Plan) -> Assembly:
-    """Return the components of a plan's runs.
+    """Return the parts of a plan's closed loop, which runs, campaigns, margins and export share.
 
     Args:
         plan: plan of the itinerary.
@@ -315,7 +318,7 @@ def run_plan(
     live: LiveSink | None = None,
     progress: Progress = no_progress,
 ) -> Run:
-    """Run the closed loop of a planned itinerary and write its log.
+    """Run the closed loop of a planned itinerary, write its log if a name is given, and return the run.
 
     Args:
         plan: plan of the itinerary.
@@ -334,34 +337,34 @@ def run_plan(
     """
     plan = plan.followed()
     itinerary, assembly = plan.itinerary, assembly or assembled(plan)
-    made_by = bench_record(itinerary, bench)
+    bench_metadata = bench_record(itinerary, bench)
 
-    def run(sink: LoopSink) -> tuple[Ticks, dict[str, str]]:
-        """Return the ticks, and the outcome as metadata."""
+    def run_loop(sink: LoopSink) -> tuple[Ticks, dict[str, str]]:
+        """Run the loop on the chosen bench with a sink, and return the ticks and the ending as metadata."""
         if bench is None:
-            flown = assembly.simulate(sink=sink, progress=progress)
-            return flown.ticks, outcome(flown)
+            result = assembly.simulate(sink=sink, progress=progress)
+            return result.ticks, outcome(result)
         with assembly.recovery_beside() as recovery:
-            loop, noted = assembly.loop(sink=sink, recovery=recovery, progress=progress), {}
+            loop, deadline_metadata = assembly.loop(sink=sink, recovery=recovery, progress=progress), {}
             if isinstance(bench, OwnObject):
-                flown = loop.run(OwnRig(bench, arms=itinerary.model.arms.count, period=1 / itinerary.loop.rate))
+                result = loop.run(OwnRig(bench, arms=itinerary.model.arms.count, period=1 / itinerary.loop.rate))
             else:
                 recipe = bench_recipe(plan, assembly)
                 with bench.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, _):
-                    flown = loop.run(rig)
-                noted = rig.deadlines.record()
-        if not len(flown.ticks.times):
-            raise GoalMissed(flown.reason)
-        return flown.ticks, {**outcome(flown), **noted}
+                    result = loop.run(rig)
+                deadline_metadata = rig.deadlines.record()
+        if not len(result.ticks.times):
+            raise GoalMissed(result.reason)
+        return result.ticks, {**outcome(result), **deadline_metadata}
 
     if out is None:
         events = Events()
         with watched(plan, events, live=live) as sink:
-            ticks, ended = run(sink)
-        return Run(_log_in_memory(plan, ticks, events.kept, **made_by, **ended))
-    check_replaced(out, {**run_metadata(itinerary), **made_by}, force=force)
-    with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sink:
-        writer.result(**run(sink)[1])
+            ticks, ending_metadata = run_loop(sink)
+        return Run(_log_in_memory(plan, ticks, events.kept, **bench_metadata, **ending_metadata))
+    check_replaced(out, {**run_metadata(itinerary), **bench_metadata}, force=force)
+    with log_writer(plan, out, **bench_metadata) as writer, watched(plan, LogSink(writer), live=live) as sink:
+        writer.result(**run_loop(sink)[1])
     return Run(read_log(out))
 
 
@@ -379,7 +382,7 @@ def bench_record(itinerary: Itinerary, bench: "OwnObject | RigLink | None" = Non
 
 
 def run_record(itinerary: Itinerary, bench: "OwnObject | RigLink | None" = None) -> dict[str, str]:
-    """Return the metadata that identify a run before it starts; see `bench_record`.
+    """Return the metadata that identify a run before it starts, by which a log of the same run is recognised.
 
     Args:
         itinerary: itinerary with the run's settings.
@@ -390,7 +393,7 @@ def run_record(itinerary: Itinerary, bench: "OwnObject | RigLink | None" = None)
 
 @contextmanager
 def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[LoopSink]:
-    """Yield a run's sink, with a live view if one is given.
+    """Yield the sink of a run, joined with the sink of a live view if one is given.
 
     Args:
         plan: plan of the run.
@@ -403,19 +406,21 @@ def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[Lo
     if live is None:
         yield sink
         return
-    nothing = Ticks.empty(0, plan.itinerary.model.arms.count, has_truth=True, period=1.0)
-    with live(_log_in_memory(plan, nothing, ())) as view:
+    no_ticks = Ticks.empty(0, plan.itinerary.model.arms.count, has_truth=True, period=1.0)
+    with live(_log_in_memory(plan, no_ticks, ())) as view:
         yield Sinks(sink, view)
 
 
 def outcome(result: LoopResult) -> dict[str, str]:
-    """Return the result of a run as metadata: pace, ending, time of ticks, hardest drive, estimated model errors.
+    """Return the figures of a finished run as metadata of its log.
+
+    These are the pace, the ending, the computing time of ticks, the hardest drive and the estimated model errors.
 
     Args:
         result: result of the loop.
     """
     quantiles = np.quantile(result.thinking, [0.5, 0.99]).tolist() if len(result.thinking) else [None, None]
-    noted = {
+    figures = {
         "real_time_factor": result.real_time_factor,
         HARDEST_METADATA: result.hardest,
         **dict(zip(THINKING_METADATA, quantiles, strict=True)),
@@ -423,24 +428,33 @@ def outcome(result: LoopResult) -> dict[str, str]:
     ending = {"ending": result.ending.value}
     if result.constants is not None:
         ending[CONSTANTS_METADATA] = json.dumps(result.constants)
-    return ending | {name: repr(value) for name, value in noted.items() if value is not None}
+    return ending | {name: repr(value) for name, value in figures.items() if value is not None}
 
 
 def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
-    """Return the metadata of values drawn once for a run, among them the simulated plant.
+    """Return the values that are drawn once for a run as metadata of its log, among them the simulated plant.
+
+    Views compare the loop's estimates with them.
 
     Args:
         itinerary: itinerary with the seed of the run.
     """
     draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
-    once = {"initial_error": draw.initial_error.tolist(), "zeros": draw.zeros.tolist()}
+    drawn_values = {"initial_error": draw.initial_error.tolist(), "zeros": draw.zeros.tolist()}
     # A user's own plant is identified by its name in the settings.
     arms = {} if draw.own else {PLANT_METADATA: json.dumps(asdict(draw.plant.arms), sort_keys=True)}
-    return {**arms, DRAWN_METADATA: json.dumps(once)}
+    return {**arms, DRAWN_METADATA: json.dumps(drawn_values)}
 
 
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
-    """Return the contents of a run's log with further metadata."""
+    """Return a run as the log that it would have written, for a run without a file or for a live view.
+
+    Args:
+        plan: plan of the run.
+        ticks: its ticks, none for a live view.
+        events: its events.
+        **more: further metadata.
+    """
     itinerary = plan.itinerary
     lengths, limits = itinerary.model.arms.length, itinerary.loop.limits(plan.reference.limits)
     states = {"estimate": ticks.estimates, "reference": ticks.references}
@@ -464,17 +478,22 @@ def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: st
 
 
 def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
-    """Return the extras of the logged ticks."""
+    """Return the estimates of additional parameters, at the slower rate of a log, or None without such parameters.
+
+    Args:
+        ticks: ticks of the run.
+        names: names (E,) of the parameters.
+    """
     if ticks.extras is None or not names:
         return None
-    numbers = slow_numbers(np.rint(ticks.times * 1e9).astype(np.int64))
-    due = np.diff(numbers, prepend=-1) > 0
-    sigmas, values = np.split(ticks.extras[due], 2, axis=1)
-    return Extras(names, ticks.times[due], values, sigmas)
+    slow_ticks = slow_numbers(np.rint(ticks.times * 1e9).astype(np.int64))
+    is_logged = np.diff(slow_ticks, prepend=-1) > 0
+    sigmas, values = np.split(ticks.extras[is_logged], 2, axis=1)
+    return Extras(names, ticks.times[is_logged], values, sigmas)
 
 
 def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
-    """Return the writer of a run's log, with the metadata known before the run.
+    """Return the writer of a run's log, which contains the plan and the metadata known before the run.
 
     Args:
         plan: plan of the run.
@@ -498,6 +517,7 @@ def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
 
 
 def _attachments(plan: Plan) -> dict[str, bytes]:
+    """Return the files from which the run can be repeated, by their names in the log."""
     return {
         _SCENE: plan.itinerary.text.encode(),
         _MODEL: plan.itinerary.model.text.encode(),
@@ -506,7 +526,7 @@ def _attachments(plan: Plan) -> dict[str, bytes]:
 
 
 def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
-    """Return the metadata that distinguish this run, with its settings, overrides included, as JSON.
+    """Return the metadata that identify a run: versions, hashes, and all settings with overrides, as JSON.
 
     Args:
         itinerary: itinerary with the settings of the run.
@@ -574,20 +594,20 @@ class Repeat(Documented):
     @property
     def repeated(self) -> dict[str, Any]:
         """The original log, the number of identical messages, and the first difference."""
-        same = self.comparison
-        return {"of": self.source, "identical_messages": same.messages, "difference": same.difference}
+        comparison = self.comparison
+        return {"of": self.source, "identical_messages": comparison.messages, "difference": comparison.difference}
 
     @property
     def missed(self) -> str:
         """Difference from the original run, reason for an incomplete run, or ""."""
-        differs = self.comparison.difference
-        if differs is None:
+        difference = self.comparison.difference
+        if difference is None:
             return self.score.missed
-        return f"not the same run: {differs}{f'; {self.versions}' if self.versions else ''}"
+        return f"not the same run: {difference}{f'; {self.versions}' if self.versions else ''}"
 
 
 def repeated_log(source: Path) -> Path:
-    """Return NAME-again.mcap in the folder of logs.
+    """Return the log of a repetition without a given name: NAME-again.mcap in the folder of logs.
 
     Args:
         source: log of the original run.
@@ -611,59 +631,86 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
     log = read_log(source)
     checked_other_file(out, source, what="the log to repeat")
     verdict = run_plan(_plan(log), out, force=force, progress=progress).score()
-    then, now = log.metadata.get("version", "?"), VERSION
-    versions = None if then == now else f"the log was written by version {then}, this is {now}"
+    log_version, program_version = log.metadata.get("version", "?"), VERSION
+    versions = (
+        None
+        if log_version == program_version
+        else f"the log was written by version {log_version}, this is {program_version}"
+    )
     return Repeat(verdict, compare_messages(source, out), versions, source)
 
 
 def _plan(log: RunLog, *, repeats: bool = True) -> Plan:
-    """Return the plan of a logged run, for a repetition or for the margins."""
-    cannot = "be repeated" if repeats else "have margins"
+    """Return the plan of a logged run with its recorded settings, for a repetition, margins or learning.
+
+    With `repeats`, the log must be of a simulated run, since a rig cannot repeat one.
+    """
+    purpose = "be repeated" if repeats else "have margins"
     if repeats and (log.truth is None or "rig" in log.metadata):
-        where = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
+        place = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
         raise InputError(
-            f"{log.path} cannot be repeated: it was made on {where}, and only simulated runs are repeatable; "
+            f"{log.path} cannot be repeated: it was made on {place}, and only simulated runs are repeatable; "
             f"`dpcontrol replay` compares it with a model"
         )
     reference = plan_of(log)
-    itinerary = _with_settings(planned_itinerary(reference.content), log, cannot=cannot)
+    itinerary = _with_settings(planned_itinerary(reference.content), log, cannot=purpose)
     return Plan(itinerary, reference, Path(), cached=True)
 
 
 def _with_options(plan: Plan, itinerary: Itinerary, change: Mapping[str, Any]) -> Plan:
-    """Return the plan of a logged run with options added to its command line.
+    """Return the plan of a logged run with options added to its command line, as a user would type them.
 
     The run's options are the settings that differ from those of the itinerary without options. If these do not explain
     all recorded settings, the options are applied to the recorded settings.
+
+    Args:
+        plan: plan of the run with its recorded settings.
+        itinerary: its itinerary without options.
+        change: options to add, by path.
     """
-    then = plan.itinerary
+    logged_itinerary = plan.itinerary
     pairs = {
-        path: (setting_of(itinerary.loop, path), setting_of(then.loop, path)) for path in paths() if path != "plant"
+        path: (setting_of(itinerary.loop, path), setting_of(logged_itinerary.loop, path))
+        for path in paths()
+        if path != "plant"
     }
-    options = {path: noted for path, (before, noted) in pairs.items() if noted is not None and before != noted}
+    options = {
+        path: logged_value
+        for path, (planned_value, logged_value) in pairs.items()
+        if logged_value is not None and planned_value != logged_value
+    }
     # Another law or filter brings its own defaults.
-    switched = {"controller": ("controller.", "estimator."), "estimator": ("estimator.",)}
-    reset = tuple(start for role, starts in switched.items() if role in options for start in starts)
-    options = {path: noted for path, noted in options.items() if not path.startswith(reset)} if reset else options
-    accounted = itinerary.with_run(options, seed=then.loop.seed).loop == then.loop
-    chosen = (
-        itinerary.with_run({**options, **canonical(change)}, seed=then.loop.seed)
-        if accounted
-        else then.with_run(change)
+    dependent_settings = {"controller": ("controller.", "estimator."), "estimator": ("estimator.",)}
+    dependent_paths = tuple(
+        prefix for role, prefixes in dependent_settings.items() if role in options for prefix in prefixes
     )
-    chosen.check_parts(then)
-    return replace(plan, itinerary=chosen)
+    options = (
+        {path: logged_value for path, logged_value in options.items() if not path.startswith(dependent_paths)}
+        if dependent_paths
+        else options
+    )
+    options_explain_all = itinerary.with_run(options, seed=logged_itinerary.loop.seed).loop == logged_itinerary.loop
+    changed_itinerary = (
+        itinerary.with_run({**options, **canonical(change)}, seed=logged_itinerary.loop.seed)
+        if options_explain_all
+        else logged_itinerary.with_run(change)
+    )
+    changed_itinerary.check_parts(logged_itinerary)
+    return replace(plan, itinerary=changed_itinerary)
 
 
 def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinerary:
-    """Return the itinerary with the run's recorded settings, overrides included."""
+    """Return the itinerary with the settings that a log has recorded, overrides included.
+
+    `cannot` completes the message about settings that cannot be read.
+    """
     try:
         return replace(itinerary, loop=stored_settings(json.loads(log.metadata["run_settings"]), str(log.path)))
     except (InputError, TypeError, ValueError, LookupError) as error:
         version = f"{log.metadata.get('version', '?')} (commit {log.metadata.get('commit') or 'unknown'})"
-        said = str(error).partition("\n")[0]
+        message = str(error).partition("\n")[0]
         raise InputError(
-            f"{log.path} cannot {cannot}: its run settings, written by version {version}, do not read here: {said}"
+            f"{log.path} cannot {cannot}: its run settings, written by version {version}, do not read here: {message}"
         ) from error
 
 
@@ -678,18 +725,18 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
         InputError: an unknown setting or an impossible value.
         LookupError: a user's object, which the log does not hold.
     """
-    top, tables = Place(file), {"disturbances": {}, **values}
-    kinds: Any
-    for name, kinds in (("controller", CONTROLLERS), ("estimator", ESTIMATORS)):
+    place, tables = Place(file), {"disturbances": {}, **values}
+    kinds_by_name: Any
+    for name, kinds_by_name in (("controller", CONTROLLERS), ("estimator", ESTIMATORS)):
         kind = tables[name]["kind"]
-        if kind not in kinds:
+        if kind not in kinds_by_name:
             raise LookupError(f"{name} = {kind} is a user's object, which is not in the log")
-        tables[name] = table_of(kinds[kind]).read(tables[name], top.within(name))
+        tables[name] = table_of(kinds_by_name[kind]).read(tables[name], place.within(name))
     tables["disturbances"] = dict(tables["disturbances"])
     blows = tables["disturbances"].pop("explicit", None)
     for name, kind in {**BENCH, "supervisor": SupervisorSettings}.items():
         if name in tables:
-            tables[name] = table_of(kind).read(tables[name], top.within(name))
+            tables[name] = table_of(kind).read(tables[name], place.within(name))
     if tables.get("plant") is not None:
         tables["plant"] = ArmChainParameters(**frozen(tables["plant"]))
     return LoopSettings(**tables).with_(
@@ -701,16 +748,16 @@ def check_exportable(itinerary: Itinerary) -> None:
     """Reject an itinerary whose settings cannot be exported to C, before it is planned.
 
     Args:
-        itinerary: itinerary to check.
+        itinerary: itinerary with the settings of the run.
 
     Raises:
         InputError: names the setting.
     """
     loop = itinerary.loop
-    kind, by, supervisor = loop.controller.kind, getattr(loop.controller, "schedule", "time"), loop.supervisor
-    what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'
+    kind, law_clock, supervisor = loop.controller.kind, getattr(loop.controller, "schedule", "time"), loop.supervisor
+    refused_setting = f'schedule = "{law_clock}"' if law_clock != "time" else f'kind = "{kind}"'
     python_law = isinstance(loop.controller, OwnLaw)
-    refused = (
+    refusals = (
         (
             loop.keeps_by_phase,
             f'run: keep = "{loop.keep}" has an internal clock that C export does not support; export without it',
@@ -727,8 +774,8 @@ def check_exportable(itinerary: Itinerary) -> None:
         ),
         (python_law, f"controller = {kind}: Python code cannot be exported to C; use a dp.SymbolicLaw"),
         (
-            by != "time" or not (python_law or law_of(loop.controller).symbolic),
-            f"controller: {what} has an internal clock that C export does not support; use "
+            law_clock != "time" or not (python_law or law_of(loop.controller).symbolic),
+            f"controller: {refused_setting} has an internal clock that C export does not support; use "
             '"tvlqr" by time, "adaptive", "feedforward" or "lqr"',
         ),
         (
@@ -741,8 +788,8 @@ def check_exportable(itinerary: Itinerary) -> None:
             f'estimator: kind = "{loop.estimator.kind}" cannot be exported to C; use "ekf"',
         ),
     )
-    for wrong, sentence in refused:
-        if wrong:
+    for applies, sentence in refusals:
+        if applies:
             raise InputError(sentence)
 
 
@@ -789,7 +836,16 @@ def export_plan(
 def _exported(
     plan: Plan, single: bool, progress: Progress, *, clock: float | None
 ) -> tuple[ControllerSource, TickProgram, Controller]:
-    """Return a controller as C with readings of a simulated run for a replay, its program, and the controller."""
+    """Return the controller of a plan as C, its program, and the controller.
+
+    The C source comes with readings and commands of a simulated run, by which a replay checks it on the target.
+
+    Args:
+        plan: plan of the itinerary.
+        single: True for single precision.
+        progress: receiver of progress reports.
+        clock: clock of the target, MHz, None if unknown.
+    """
     itinerary, assembly = plan.itinerary, assembled(plan)
     if any(itinerary.zeros):
         remark(
@@ -797,16 +853,17 @@ def _exported(
             f"readings; set the encoders to zero, or subtract the zeros before a step"
         )
     controller, program, loop = assembly.controller, assembly.ticker().program, itinerary.loop
-    checked = replace(loop, sensors=replace(loop.sensors, rate_noise=0.0))
-    ran = replace(assembly, settings=checked, law=controller).simulate(progress=progress)
+    noiseless_settings = replace(loop, sensors=replace(loop.sensors, rate_noise=0.0))
+    simulated_run = replace(assembly, settings=noiseless_settings, law=controller).simulate(progress=progress)
     names = [f"measured.{name}" for name in joint_names(itinerary.model.arms.count, has_cart=True)]
-    rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]]).tolist()
+    # Column 0 of `control` is the command, m/s².
+    rows = np.column_stack([simulated_run.ticks.measured, simulated_run.ticks.control[:, 0]]).tolist()
     readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
-    code = controller_source(
+    bare_source = controller_source(
         program, controller, itinerary=itinerary.name, title=itinerary.title, single=single,
         clock=clock, readings=f"{','.join([*names, 'control.command'])}\n{readings}",
     )  # fmt: skip
-    source = replace(code, itinerary=itinerary.name, rate=loop.rate, single=single, clock=clock)
+    source = replace(bare_source, itinerary=itinerary.name, rate=loop.rate, single=single, clock=clock)
     return source, program, controller
 
 
@@ -817,7 +874,7 @@ _SPARE = 1.0
 
 
 def bench_recipe(plan: Plan, assembly: Assembly | None = None) -> BenchRecipe:
-    """Return the simulated bench of a planned itinerary.
+    """Return the recipe from which another process makes the simulated bench of a planned itinerary.
 
     Args:
         plan: plan of the itinerary.
@@ -844,7 +901,9 @@ _HANGING = 600.0
 
 
 def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> BenchRecipe:
-    """Return the itinerary's simulated bench with hanging arms, for commissioning without a plan.
+    """Return the recipe of the itinerary's simulated bench with hanging arms, for commissioning without a plan.
+
+    Another process makes the bench from it.
 
     Args:
         itinerary: arms, cart and settings of the bench.
@@ -895,7 +954,9 @@ class RigLink:
     def connected(
         self, itinerary: Itinerary, recipe: BenchRecipe, *, ticks: int, what: str, loop: ControlLoop | None = None
     ) -> Iterator[tuple[PacketRig, BenchProcess | None]]:
-        """Yield the rig, and the example bench if there is one.
+        """Connect to the bench, check that it fits the itinerary, and yield the rig and the example bench, or None.
+
+        The connection, and the process of an example bench, end at exit.
 
         Args:
             itinerary: itinerary of the run.
@@ -908,7 +969,7 @@ class RigLink:
             InputError: no bench answers, it needs a key, or it does not fit the itinerary.
         """
         arms, rate, process = itinerary.model.arms.count, itinerary.loop.rate, None
-        begun: dict[str, Any] = {}
+        client_options: dict[str, Any] = {}
         if loop is not None:
             if self.address != OWN_BENCH and itinerary.start == "orbit":
                 fastest = np.abs(recipe.start[arms : 2 * arms]).max()
@@ -917,15 +978,15 @@ class RigLink:
                     'only a simulated bench can; on a rig use an itinerary with start = "rest", such as turn-from-rest'
                 )
             loop.ticker.rehearse()
-            begun = {"queued": loop.queued, "zeros": itinerary.zeros}
+            client_options = {"queued": loop.queued, "zeros": itinerary.zeros}
         with ExitStack() as stack:
             if self.address == OWN_BENCH:
                 process = stack.enter_context(BenchProcess(recipe, BenchServerSettings(real_time=self.real_time)))
-                client: PacketRig = UdpRig(process.address, key=process.key, **begun)
+                client: PacketRig = UdpRig(process.address, key=process.key, **client_options)
             elif self.address.startswith(SERIAL):
-                client = SerialRig(self.address, key=self.key, **begun)
+                client = SerialRig(self.address, key=self.key, **client_options)
             else:
-                client = UdpRig(parse_address(self.address), key=self.key, insecure=self.insecure, **begun)
+                client = UdpRig(parse_address(self.address), key=self.key, insecure=self.insecure, **client_options)
             rig = stack.enter_context(client)
             welcome, rig_rate = rig.welcome, 1 / rig.welcome.period
             if welcome.arms != arms:
@@ -934,8 +995,8 @@ class RigLink:
                 remedy = f"set rate = {rig_rate:g} in [run]" if loop is None else f"run with --rate {rig_rate:g}"
                 raise InputError(f"rig {rig.address} ticks at {rig_rate:g} Hz, the loop at {rate:g} Hz; {remedy}")
             if welcome.ticks < ticks:
-                longer = "; start the example bench with --hanging" if loop is None else ""
-                raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, {what} takes {ticks}{longer}")
+                advice = "; start the example bench with --hanging" if loop is None else ""
+                raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, {what} takes {ticks}{advice}")
             stack.enter_context(without_collecting())
             if self.real_time:
                 stack.enter_context(real_time_priority())
@@ -981,23 +1042,23 @@ def commission_rig(
         InputError: no bench answers, it needs a key or does not fit the itinerary.
     """
     options, rate = CommissioningSettings(), itinerary.loop.rate
-    find = partial(
+    check_rig = partial(
         commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=itinerary.loop.limits(itinerary.limits),
         zeros=itinerary.zeros, switches=switches, options=options, notify=notify,
     )  # fmt: skip
     if isinstance(bench, OwnObject):
         with without_collecting():
-            return find(OwnRig(bench, arms=itinerary.model.arms.count, period=1 / rate))
+            return check_rig(OwnRig(bench, arms=itinerary.model.arms.count, period=1 / rate))
     recipe = hanging_recipe(practice or itinerary, faults=faults)
     if bench is None:
-        return find(recipe.rig(()))
+        return check_rig(recipe.rig(()))
     ticks = round((options.seconds + 4 * switches / options.creep) * rate)
     with bench.connected(itinerary, recipe, ticks=ticks, what="commissioning") as (rig, _):
-        return find(rig)
+        return check_rig(rig)
 
 
 def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
-    """Return an itinerary's file, and its text with measured values in [run].
+    """Return an itinerary's file, and its text with measured values in [run], which commissioning then writes.
 
     For a shipped itinerary the file is a copy in the working folder's `itineraries`.
 
@@ -1062,23 +1123,35 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
     check_replaced(out, run_record(plan.itinerary, RigLink(OWN_BENCH)), force=force)
     loop = plan.itinerary.loop
     # A program neither restarts after a fall nor subtracts zeros from its readings.
-    stops = replace(loop, supervisor=replace(loop.supervisor, on_fall="stop"))
+    loop_that_stops = replace(loop, supervisor=replace(loop.supervisor, on_fall="stop"))
     assembly, settings = assembled(plan), BenchServerSettings(real_time=real_time, watchdog=PROGRAM_WATCHDOG)
-    process, deadlines = BenchProcess(replace(bench_recipe(plan, assembly), zeros=()), settings), None
-    assembly = assembly.under(stops)
+    bench_process, deadlines = BenchProcess(replace(bench_recipe(plan, assembly), zeros=()), settings), None
+    assembly = assembly.under(loop_that_stops)
     try:
-        with process:
-            deadlines = process.controlled_by(program, *(["--real-time"] if real_time else []))
+        with bench_process:
+            deadlines = bench_process.controlled_by(program, *(["--real-time"] if real_time else []))
     except KeyboardInterrupt:
-        if process.record is not None:
-            _log_recorded(plan, out, program, assembly, process, deadlines)
+        if bench_process.record is not None:
+            _log_recorded(plan, out, program, assembly, bench_process, deadlines)
         raise
-    return _log_recorded(plan, out, program, assembly, process, deadlines)
+    return _log_recorded(plan, out, program, assembly, bench_process, deadlines)
 
 
 def _log_recorded(
     plan: Plan, out: Path, program: Path, assembly: Assembly, process: BenchProcess, deadlines: Deadlines | None
 ) -> Run:
+    """Write the log of a run by an external program, from the readings that the example bench has recorded.
+
+    The loop computes its estimates and commands for these readings again, to compare its commands with the program's.
+
+    Args:
+        plan: plan of the itinerary.
+        out: log to write.
+        program: the external program, whose hash the log stores.
+        assembly: components of the loop.
+        process: the example bench with its record.
+        deadlines: deadlines of the program, None if it was interrupted.
+    """
     if process.record is None:
         raise GoalMissed("the example bench did not end its run in order")
     with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:

@@ -6,14 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 LEVELS = 21
-"""Levels of a trouble in the standard score."""
+"""Number of levels of a trouble in the standard score."""
 
 
 def _evenly(first: float, last: float) -> tuple[float, ...]:
+    """Return the levels of a trouble in equal steps."""
     return tuple(np.linspace(first, last, LEVELS).tolist())
 
 
 def _by_ratio(first: float, last: float) -> tuple[float, ...]:
+    """Return the levels of a trouble in equal ratios."""
     return tuple(np.geomspace(first, last, LEVELS).tolist())
 
 
@@ -57,7 +59,7 @@ class Trouble:
 
     @property
     def falling(self) -> bool:
-        """True if less is worse."""
+        """True if smaller values of the setting are worse, such as counts of an encoder."""
         return self.last < self.first
 
 

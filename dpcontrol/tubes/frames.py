@@ -17,8 +17,9 @@ from dpcontrol.shooting.newton import ShootingOrbit
 def directions(system: System, states: Array, stms: Array, *, closed: bool, first: Array, last: Array) -> Array:
     """Return bases (K, N, N) of the nodes' sections, in doubles, in which proofs enclose the flow.
 
-    The columns are u, s, f, w. In scaled coordinates, u, s and w are orthogonal to the flow, and u and s lie in the
-    tangent plane of the energy surface.
+    The columns are u, s, f, w: the growing direction, the shrinking one, the flow, and one across the energy surface.
+    In scaled coordinates, u, s and w are orthogonal to the flow, and u and s lie in the tangent plane of the energy
+    surface.
 
     Args:
         system: system of the states.

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str, Any]]) -> "nx.MultiDiGraph[str]":
-    """Return the multigraph of orbits (nodes) and connections (edges).
+    """Return the connection graph, a multigraph whose nodes are orbits and whose edges are connections.
 
     Nodes are named after orbits and edges are keyed by the connection's name. Isolated orbits are included.
 
@@ -57,7 +57,7 @@ def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str
 def walks(
     graph: "nx.MultiDiGraph[str]", source: str, *, target: str | None = None, length: int
 ) -> Iterator[tuple[str, ...]]:
-    """Yield all walks of `length` connections, as tuples of connection names.
+    """Yield all walks of `length` connections on the graph, each as the names of its connections in order.
 
     Args:
         graph: connection graph.
@@ -65,13 +65,14 @@ def walks(
         target: last node; any by default.
         length: number of connections.
     """
+    # The recursion takes one connection per level.
     if length == 0:
         if target in (None, source):
             yield ()
         return
-    for _, following, name in graph.out_edges(source, keys=True):
-        for rest in walks(graph, following, target=target, length=length - 1):
-            yield (name, *rest)
+    for _, next_stop, name in graph.out_edges(source, keys=True):
+        for later_names in walks(graph, next_stop, target=target, length=length - 1):
+            yield (name, *later_names)
 
 
 @dataclass(frozen=True)
@@ -268,7 +269,7 @@ class Atlas(Shown, InUnits, Documented):
 
     @checked
     def between(self, source: str, target: str) -> tuple[AtlasConnection, ...]:
-        """Return the connections from one saddle's orbit to another's.
+        """Return the connections that lead from one saddle's orbit to another's, or back to the same one.
 
         Args:
             source: saddle that the connections leave.
@@ -282,7 +283,7 @@ class Atlas(Shown, InUnits, Documented):
 
     @checked
     def cut(self, saddle: str, section: str, hit: Hit) -> AtlasCut:
-        """Return a tube's cut.
+        """Return the curves in which the unstable tube of a saddle's orbit cuts a section at one of its crossings.
 
         Args:
             saddle: saddle whose tube it is.
@@ -299,11 +300,14 @@ class Atlas(Shown, InUnits, Documented):
 
     @checked
     def turned(self, states: Array, saddle: str) -> Array:
-        """Map states of the unstable tube to the stable tube.
+        """Return the time-reversed images of states on a saddle's unstable tube, which lie on its stable tube.
 
         Args:
             states: states (…, N).
             saddle: saddle whose tubes they are.
+
+        Returns:
+            States (…, N).
 
         Raises:
             InputError: unknown saddle, or states of another length.
@@ -315,7 +319,7 @@ class Atlas(Shown, InUnits, Documented):
 
 
 def section_axes(section: Section, atlas: Atlas) -> tuple[str, float | None]:
-    """Return the name and period (or None) of a section's coordinate.
+    """Return the name of the coordinate along which a section is drawn, and its period (None if it does not turn).
 
     Args:
         section: section of the atlas.

@@ -50,12 +50,16 @@ _ARMS = {"inner": 1, "outer": 2}
 
 
 def rotating_names(system: System) -> list[str]:
-    """Return the names of a system's fastest rotating orbits."""
+    """Return the names of a system's fastest rotating orbits, one per arm and direction; none if it has no such orbits.
+
+    Args:
+        system: system of the graph.
+    """
     return [text for text, name in ROTATING.items() if name.rank == 1] * can_rotate(system)
 
 
 def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
-    """Return the named rotating orbit at an energy.
+    """Return the rotating orbit of this name at an energy, as a stop of walks.
 
     Args:
         system: system of two arms.
@@ -67,22 +71,22 @@ def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
     """
     if name not in ROTATING:
         raise InputError(f"{name!r} is not a rotating orbit; choose from {', '.join(rotating_names(system))}")
-    meant = ROTATING[name]
-    orbits = rotating_orbits(system, _ARMS[meant.arm], energy, sense=meant.sense)
+    rotation = ROTATING[name]
+    orbits = rotating_orbits(system, _ARMS[rotation.arm], energy, sense=rotation.sense)
     hyperbolic = [orbit for orbit in reversed(orbits) if orbit.hyperbolic]
-    if meant.rank > len(hyperbolic):
+    if rotation.rank > len(hyperbolic):
         raise InputError(
-            f"no {name!r} at {energy:g} J: {len(orbits)} orbits were found that rotate the {meant.arm} arm in this "
+            f"no {name!r} at {energy:g} J: {len(orbits)} orbits were found that rotate the {rotation.arm} arm in this "
             f"direction, {len(hyperbolic)} of them hyperbolic; try another energy (`dpcontrol orbit --rotating "
-            f"{meant.arm}` lists them)"
+            f"{rotation.arm}` lists them)"
         )
-    return rotating_vertex(hyperbolic[meant.rank - 1], name=name)
+    return rotating_vertex(hyperbolic[rotation.rank - 1], name=name)
 
 
 def rotating_connections(
     source: LyapunovOrbit, target: LyapunovOrbit, *, section: str | None = None
 ) -> ConnectionSearch:
-    """Find connections between a rotating orbit and a saddle orbit.
+    """Find connections between a rotating orbit and a saddle's orbit, on successive laps of the rotating orbit's tube.
 
     The tube of the rotating orbit is followed until it is large. If it does not meet the other tube there, up to
     three later crossings are searched.
@@ -96,23 +100,31 @@ def rotating_connections(
     Raises:
         InputError: both orbits rotate, or no section is suitable.
     """
-    lapping = [orbit for orbit in (source, target) if orbit.laps]
-    if len(lapping) != 1:
+    rotating = [orbit for orbit in (source, target) if orbit.laps]
+    if len(rotating) != 1:
         raise InputError(
             f"{source.saddle} > {target.saddle}: only connections between a rotating orbit and a saddle can be "
             "searched; go by way of a saddle"
         )
-    home = target if lapping[0] is source else source
-    searched = _section(lapping[0], home, section)
-    first = crossing = grown_crossing(lapping[0], searched)
-    search = find_lap_connections(source, target, section=searched, crossing=crossing)
-    while not search.connections and crossing < first + _LONGER:
+    saddle_orbit = target if rotating[0] is source else source
+    chosen_section = _section(rotating[0], saddle_orbit, section)
+    first_crossing = crossing = grown_crossing(rotating[0], chosen_section)
+    search = find_lap_connections(source, target, section=chosen_section, crossing=crossing)
+    while not search.connections and crossing < first_crossing + _LONGER:
         crossing += 1
-        search = find_lap_connections(source, target, section=searched, crossing=crossing)
-    return replace(search, first=first)
+        search = find_lap_connections(source, target, section=chosen_section, crossing=crossing)
+    return replace(search, first=first_crossing)
 
 
 def _section(lapping: LyapunovOrbit, home: LyapunovOrbit, name: str | None) -> Section:
+    """Return the section for connections between a rotating orbit (`lapping`) and a saddle's orbit (`home`).
+
+    The rotating orbit must cross the section in each turn and the saddle's orbit must not. `name` is a section's short
+    name, or None for the first suitable one of "rotating arm straight down" and "arms aligned".
+
+    Raises:
+        InputError: no candidate is suitable.
+    """
     system = lapping.system
     if name is not None:
         candidates = [system.section_between(home.saddle, home.saddle, name)]
@@ -175,10 +187,10 @@ class Edges(Shown, Documented):
     @property
     def walks_by_length(self) -> dict[int, int]:
         """Number of walks with one to eight symbols."""
-        onward, counts = dict.fromkeys(self.orbits, 1), {}
+        walks_from, counts = dict.fromkeys(self.orbits, 1), {}
         for length in range(1, 9):
-            onward = {name: sum(onward[c.target.saddle] for c in self.leaving(name)) for name in onward}
-            counts[length] = sum(onward.values())
+            walks_from = {name: sum(walks_from[c.target.saddle] for c in self.leaving(name)) for name in walks_from}
+            counts[length] = sum(walks_from.values())
         return counts
 
     @property
@@ -193,7 +205,7 @@ class Edges(Shown, Documented):
 
     @checked
     def between(self, source: str, target: str) -> tuple[Connection, ...]:
-        """Return the connections from one saddle's orbit to another's.
+        """Return the connections that lead from one saddle's orbit to another's, or back to the same one.
 
         Args:
             source: saddle that the connections leave.
@@ -207,10 +219,10 @@ class Edges(Shown, Documented):
 
     @checked
     def leaving(self, saddle: str) -> tuple[Connection, ...]:
-        """Return the connections that leave a saddle's orbit.
+        """Return the connections that leave a saddle's orbit, which may follow a symbol that ends there.
 
         Args:
-            saddle: saddle.
+            saddle: name of the saddle.
 
         Raises:
             InputError: unknown saddle.
@@ -227,12 +239,13 @@ class TubeCuts:
     """Cuts of tubes, computed on first use in `seconds` altogether."""
 
     def __init__(self, system: System, settings: ConnectionSettings | None = None) -> None:
+        """Create an empty cache of the system's tube cuts."""
         self.system, self.settings, self.seconds = system, settings or ConnectionSettings(), 0.0
         self.cuts: dict[tuple[str, str, int], Cut] = {}
         self._manifolds: dict[str, UnstableManifold] = {}
 
     def manifold(self, orbit: LyapunovOrbit) -> UnstableManifold:
-        """Return the local unstable manifold of an orbit."""
+        """Return the local unstable manifold of an orbit, on which its tube begins; computed once for each saddle."""
         if orbit.saddle not in self._manifolds:
             self._manifolds[orbit.saddle] = local_manifold(orbit, self.settings.distance)
         return self._manifolds[orbit.saddle]
@@ -240,7 +253,7 @@ class TubeCuts:
     def cut(
         self, orbit: LyapunovOrbit, section: Section, hit: int, *, budget: Budget, progress: Progress = no_progress
     ) -> Cut:
-        """Return the cut of a tube at a section crossing.
+        """Return the curves in which an orbit's unstable tube cuts a section at a crossing; computed once.
 
         Args:
             orbit: orbit of the tube.
@@ -251,11 +264,11 @@ class TubeCuts:
         """
         key = (orbit.saddle, section.name, hit)
         if key not in self.cuts:
-            began = time.perf_counter()
+            begin = time.perf_counter()
             self.cuts[key] = tube_cut(
                 self.manifold(orbit), section, hit=hit, settings=self.settings.cut, budget=budget, progress=progress
             )
-            self.seconds += time.perf_counter() - began
+            self.seconds += time.perf_counter() - begin
         return self.cuts[key]
 
 
@@ -280,7 +293,7 @@ class PairSearch(Brief):
 def orbits_at(
     system: System, families: Mapping[str, int], energy: float, *, required: bool = False
 ) -> tuple[list[LyapunovOrbit], list[tuple[str, str]]]:
-    """Return the Lyapunov orbits, and (saddle, reason) for missing ones.
+    """Return the Lyapunov orbits that exist at an energy, and (saddle, reason) for the missing ones.
 
     Args:
         system: dynamical system.
@@ -318,7 +331,7 @@ _HIT_BYTES = 1e8
 def searches_cost(
     pairs: Sequence[tuple[str, str]], hits: Sequence[tuple[int, int]], settings: ConnectionSettings
 ) -> Cost:
-    """Estimate the cost of searches for connections.
+    """Estimate the time and memory of searches for connections, for a message before long work.
 
     Args:
         pairs: names of source and target orbits.
@@ -326,11 +339,11 @@ def searches_cost(
         settings: settings of the searches.
     """
     # Opposite pairs are images of one another.
-    different = len({frozenset(pair) for pair in pairs})
-    each = [_SEARCHED_MOST if max(hit) > 2 or settings.thorough else _SEARCHED * max(hit) for hit in hits]
-    memory = different * sum(_HIT_BYTES * max(hit) for hit in hits) if settings.thorough else _HIT_BYTES
+    pair_count = len({frozenset(pair) for pair in pairs})
+    seconds_per_hit = [_SEARCHED_MOST if max(hit) > 2 or settings.thorough else _SEARCHED * max(hit) for hit in hits]
+    memory = pair_count * sum(_HIT_BYTES * max(hit) for hit in hits) if settings.thorough else _HIT_BYTES
     key = f"hits up to {max(hits)[0]},{max(hits)[1]}"
-    return Cost(f"up to {different * len(hits):,} searches", different * sum(each), memory, key)
+    return Cost(f"up to {pair_count * len(hits):,} searches", pair_count * sum(seconds_per_hit), memory, key)
 
 
 def search_pairs(
@@ -343,7 +356,7 @@ def search_pairs(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> list[PairSearch]:
-    """Search for connections between pairs of saddles, cutting each tube once.
+    """Search for connections between pairs of saddles by intersecting their tubes, each of which is cut once.
 
     Of two opposite pairs, only one is searched if time reversal preserves the section.
 
@@ -355,6 +368,9 @@ def search_pairs(
         until_found: stop at the first hits with connections.
         yes: accept any duration.
         progress: called with a label and the completed share.
+
+    Returns:
+        Searches in order, one for each pair and hits, or fewer with `until_found`.
     """
     if pairs:
         announce(searches_cost(pairs, hits, tubes.settings), yes=yes)
@@ -371,13 +387,13 @@ def search_pairs(
         for hit in hits:
             portion(f"tubes {source} → {target}", 0.0)
             budget = Budget(tubes.settings.seconds)
-            first, second = (
-                tubes.cut(orbits[saddle], section, number, budget=budget.until(0.4 * (which + 1)),
-                          progress=part_of(portion, 0.25 * which, 0.25 * (which + 1)))
-                for which, (saddle, number) in enumerate(zip((source, target), hit, strict=True))
+            unstable_cut, stable_cut = (
+                tubes.cut(orbits[saddle], section, number, budget=budget.until(0.4 * (side + 1)),
+                          progress=part_of(portion, 0.25 * side, 0.25 * (side + 1)))
+                for side, (saddle, number) in enumerate(zip((source, target), hit, strict=True))
             )  # fmt: skip
             search = find_connections(
-                orbits[source], orbits[target], hits=hit, settings=tubes.settings, cuts=(first, second),
+                orbits[source], orbits[target], hits=hit, settings=tubes.settings, cuts=(unstable_cut, stable_cut),
                 budget=budget, progress=part_of(portion, 0.5, 1.0),
             )  # fmt: skip
             searches.append(PairSearch(search, by_reversal=False))
@@ -396,7 +412,7 @@ def find_edges(
     yes: bool = False,
     progress: Progress = no_progress,
 ) -> Edges:
-    """Find the connections between saddle orbits at one energy.
+    """Return the connection graph at one energy, after a search for the connections between its orbits.
 
     Args:
         system: Hamiltonian system.
@@ -411,27 +427,30 @@ def find_edges(
         InputError: no saddle has an orbit at this energy, an orbit named in `pairs` or `symbols` does not exist, or
             a symbol names an unknown section.
     """
-    wanted = dict.fromkeys(s for pair in pairs for s in pair) if pairs else dict.fromkeys(system.saddles)
-    present, absent = orbits_at(system, dict.fromkeys(wanted, 1), energy, required=bool(pairs))
-    orbits = {orbit.saddle: orbit for orbit in present}
+    saddles = dict.fromkeys(s for pair in pairs for s in pair) if pairs else dict.fromkeys(system.saddles)
+    orbits_found, absent = orbits_at(system, dict.fromkeys(saddles, 1), energy, required=bool(pairs))
+    orbits = {orbit.saddle: orbit for orbit in orbits_found}
     if not orbits:
         raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
-    kinds = [p for p in system.sections if p[0] in orbits and p[1] in orbits and (not pairs or p in pairs)]
-    numbers = sorted(set(hits))
-    searches = search_pairs(TubeCuts(system), orbits, kinds, numbers, yes=yes, progress=progress)
+    searched_pairs = [p for p in system.sections if p[0] in orbits and p[1] in orbits and (not pairs or p in pairs)]
+    hit_numbers = sorted(set(hits))
+    searches = search_pairs(TubeCuts(system), orbits, searched_pairs, hit_numbers, yes=yes, progress=progress)
     progress("connections", 1.0)
     incomplete = tuple(result.search for result in searches if not result.by_reversal and not result.search.complete)
     connections = tuple(c for result in searches for c in result.search.connections)
-    edges = Edges(system, energy, orbits, tuple(absent), tuple(kinds), connections, incomplete)
-    simple = [s for symbol in symbols for s in symbol.simple]
-    return _with_named(_with_rotating(edges, simple, progress), simple, numbers, progress)
+    edges = Edges(system, energy, orbits, tuple(absent), tuple(searched_pairs), connections, incomplete)
+    elementary = [s for symbol in symbols for s in symbol.simple]
+    return _with_named(_with_rotating(edges, elementary, progress), elementary, hit_numbers, progress)
 
 
 def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) -> Edges:
-    """Add the rotating orbits that symbols name, and their connections."""
+    """Return the graph with the rotating orbits that `symbols` name, and with their connections.
+
+    `symbols` are elementary symbols; pairs without a rotating orbit are ignored.
+    """
     orbits, searched, connections, incomplete = dict(edges.orbits), list(edges.searched), list(edges.connections), []
-    wanted = [((s.source, s.target), s.section) for s in symbols if {s.source, s.target} & ROTATING.keys()]
-    for pair, section in dict.fromkeys(wanted):
+    requested = [((s.source, s.target), s.section) for s in symbols if {s.source, s.target} & ROTATING.keys()]
+    for pair, section in dict.fromkeys(requested):
         for name in pair:
             if name in ROTATING and name not in orbits:
                 orbits[name] = rotating_named(edges.system, name, edges.energy)
@@ -453,7 +472,11 @@ def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) 
 def _with_named(
     edges: Edges, symbols: Sequence[Symbol], numbers: Sequence[tuple[int, int]], progress: Progress
 ) -> Edges:
-    """Search for connections that symbols name but the graph does not contain."""
+    """Return the graph with the connections that `symbols` name by their hits and section and that it does not contain.
+
+    `numbers` are the (unstable, stable) crossing numbers that the graph's own search covered. The new connections are
+    kept outside the graph, in `named`, so that they do not change the number of its walks.
+    """
     named: list[Connection] = []
     incomplete: list[ConnectionSearch] = []
     searches = [(s.source, s.target, s.hits, s.section) for s in symbols if s.hits is not None]

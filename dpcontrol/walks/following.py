@@ -56,10 +56,10 @@ class SymbolChange(Documented):
     @property
     def sentence(self) -> str:
         """A sentence describing the change."""
-        why = "the previous one ends there" if self.ends else "another one has a larger angle there"
+        reason = "the previous one ends there" if self.ends else "another one has a larger angle there"
         return (
             f'"{self.symbol}" selects another connection beyond {self.energy:.6g}{self.unit} (±{self.within:.1g}), '
-            f"because {why}: {self.before} before, {self.after} after"
+            f"because {reason}: {self.before} before, {self.after} after"
         )
 
 
@@ -90,6 +90,11 @@ class SymbolBranches:
     """Connections that match a symbol at any energy, with cached searches."""
 
     def __init__(self, system: System, symbol: Symbol) -> None:
+        """Prepare a symbol, such as "down-up > up-down +", to be followed in energy.
+
+        Raises:
+            InputError: the symbol is a composite edge or leads to a rotating orbit.
+        """
         if symbol.parts or (symbol.source, symbol.target) not in system.sections:
             raise InputError(f"{symbol.text!r}: only a connection between saddles can be followed in energy")
         self.system, self.symbol = system, symbol
@@ -97,10 +102,11 @@ class SymbolBranches:
 
     @cached_property
     def _sweep(self) -> Sweep:
+        """The sweep over energy that solves and continues the first-hit connections of the symbol's saddles."""
         return Sweep(Quantity.of_energy(self.system), self.symbol.source, self.symbol.target, 1, SweepSettings())
 
     def connections(self, energy: float) -> tuple[Connection, ...]:
-        """Return the connections at an energy, none without both orbits.
+        """Return the connections between the symbol's saddles at an energy, none if an orbit does not exist there.
 
         Args:
             energy: energy, J.
@@ -115,7 +121,7 @@ class SymbolBranches:
         return self._found[energy]
 
     def chosen(self, energy: float) -> Connection | None:
-        """Return the connection selected at an energy, or None.
+        """Return the connection that the symbol selects at an energy, or None if there is none.
 
         Args:
             energy: energy, J.
@@ -126,33 +132,40 @@ class SymbolBranches:
             return None
 
     def followed(self, connection: Connection, energy: float) -> Connection | None:
-        """Return a connection continued to another energy, or None.
+        """Return the connection among those at another energy to which continuation of a connection leads.
+
+        The result is None if continuation fails, or if the search at either energy finds neither the connection nor its
+        image under the system's symmetry of half a period.
 
         Args:
             connection: connection at its energy.
             energy: the other energy, J.
         """
-        begin = connection.source.energy
-        # Sweeps find only one of two mirror images.
+        start = connection.source.energy
+        # Sweeps find only one of two mirror images, so the other one is sought if the connection is not among them.
         half_turn = connection.orbit.start.manifold.half_turn
-        for image in (connection,) if half_turn is None else (connection, mirrored(connection)):
-            point = self._point(image, begin)
+        for original_or_image in (connection,) if half_turn is None else (connection, mirrored(connection)):
+            point = self._point(original_or_image, start)
             if point is None:
                 continue
-            carried = point if energy == begin else carry(self._sweep.problem, point, energy)
-            if carried is None:
+            continued = point if energy == start else carry(self._sweep.problem, point, energy)
+            if continued is None:
                 return None
-            state = first_crossing(self._sweep.problem, carried.link, energy)
+            state = first_crossing(self._sweep.problem, continued.link, energy)
             if state is None:
                 return None
-            for c in self.connections(energy):
-                candidate = c if image is connection else mirrored(c)
-                if c.sense == connection.sense and self.system.scaled_distance(state, candidate.state) < _SAME:
-                    return c
+            for other in self.connections(energy):
+                candidate = other if original_or_image is connection else mirrored(other)
+                if other.sense == connection.sense and self.system.scaled_distance(state, candidate.state) < _SAME:
+                    return other
             return None
         return None
 
     def _point(self, connection: Connection, energy: float) -> PathPoint | None:
+        """Return the solution of the sweep at `energy` (J) that is the given connection, or None.
+
+        Two solutions are the same if their first section crossings agree.
+        """
         for point in self._sweep.search(energy).points:
             state = first_crossing(self._sweep.problem, point.link, energy)
             if state is not None and float(self.system.scaled_distance(state, connection.state)) < _SAME:
@@ -160,7 +173,7 @@ class SymbolBranches:
         return None
 
     def changes(self, low: float, high: float, *, progress: Progress = no_progress) -> tuple[SymbolChange, ...]:
-        """Return the changes of selection between two energies.
+        """Return the changes of the connection that the symbol selects, between two energies.
 
         Args:
             low: first energy, J.
@@ -174,19 +187,19 @@ class SymbolBranches:
                 "not reported"
             )
         for k, (begin, end) in enumerate(pairwise(grid)):
-            progress(f"{self.symbol.text} from {begin:.4g} J", k / _GRID)
+            progress(f"{self.symbol.text} from {begin:.4g}{unit}", k / _GRID)
             selected, selected_at_end = self.chosen(begin), self.chosen(end)
             if selected is None or selected_at_end is None or self._keeps(selected, end):
                 continue
-            energy, beyond = bisected(begin, end, lambda at, connection=selected: self._keeps(connection, at))
-            other = self.chosen(beyond)
+            energy, beyond = bisected(begin, end, lambda value, connection=selected: self._keeps(connection, value))
+            next_selected = self.chosen(beyond)
             changes.append(
                 SymbolChange(
                     self.symbol.text,
                     (energy + beyond) / 2,
                     abs(beyond - energy) / 2,
                     selected.name,
-                    selected_at_end.name if other is None else other.name,
+                    selected_at_end.name if next_selected is None else next_selected.name,
                     self.followed(selected, beyond) is None,
                     unit,
                 )
@@ -195,18 +208,21 @@ class SymbolBranches:
         return tuple(changes)
 
     def _keeps(self, connection: Connection, energy: float) -> bool:
-        """Return True if the symbol still selects the continuation of `connection`."""
+        """Return True if, at another energy (J), the symbol still selects the continuation of `connection`."""
         followed, chosen = self.followed(connection, energy), self.chosen(energy)
         return followed is not None and chosen is not None and followed.name == chosen.name
 
 
 def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[float, float]:
-    """Return the bracket of a change, found by bisection.
+    """Return the bracket of a change, found by bisection, whose width is 2^-7 of the first one.
 
     Args:
         low: energy on one side of the change, J.
         high: energy on the other side, J.
         holds: function of an energy; True at `low`, False at `high`.
+
+    Returns:
+        The last energy at which `holds` is True, and the first one at which it is False.
     """
     for _ in range(_HALVED):
         middle = (low + high) / 2
@@ -217,7 +233,7 @@ def bisected(low: float, high: float, holds: Callable[[float], bool]) -> tuple[f
 def symbol_changes(
     system: System, symbols: Sequence[Symbol], energies: tuple[float, float], *, progress: Progress = no_progress
 ) -> tuple[SymbolChange, ...]:
-    """Return the energies at which symbols select another connection.
+    """Return the energies at which the symbols of a walk select another connection, and thus another motion.
 
     Args:
         system: dynamical system.
@@ -230,9 +246,9 @@ def symbol_changes(
     """
     if energies[0] == energies[1]:
         raise InputError(f"energies = {energies}: must be two different energies")
-    texts = list({s.text: s for symbol in symbols for s in symbol.simple if s.name is None}.values())
+    simple_symbols = list({s.text: s for symbol in symbols for s in symbol.simple if s.name is None}.values())
     changes: list[SymbolChange] = []
-    for k, symbol in enumerate(texts):
-        part = part_of(progress, k / len(texts), (k + 1) / len(texts))
-        changes += SymbolBranches(system, symbol).changes(*energies, progress=part)
+    for k, symbol in enumerate(simple_symbols):
+        portion = part_of(progress, k / len(simple_symbols), (k + 1) / len(simple_symbols))
+        changes += SymbolBranches(system, symbol).changes(*energies, progress=portion)
     return tuple(changes)

@@ -57,17 +57,20 @@ class ShadowingSettings:
 
 
 def phase_gap(before: Connection, after: Connection) -> float:
-    """Return the phase from arrival to next departure, in [0, 1).
+    """Return the part of a period that a stop needs beyond whole wraps, so that arrival and departure are in phase.
 
     Args:
         before: connection to an orbit.
         after: next connection, which leaves this orbit.
+
+    Returns:
+        Phase from the arrival to the next departure, in [0, 1) of the orbit's period.
     """
     return (after.phase_out - before.phase_in) % 1.0
 
 
 def passage(before: Connection, after: Connection, wraps: int) -> float:
-    """Return the time (s) between two connections' section crossings.
+    """Return the time (s) from one connection's section crossing to the next one's, if the stop between has its wraps.
 
     It uses the asymptotic phases on the local manifolds. The attributes phase_in and phase_out refer to the nearest
     point at a distance of 1e-3, and differ from them by about as much.
@@ -77,48 +80,58 @@ def passage(before: Connection, after: Connection, wraps: int) -> float:
         after: connection that leaves the stop.
         wraps: number of wraps at the stop.
     """
-    since, until = _asymptotic_phases(before, after)
-    return (until - since + stop_rounds(before, after, wraps)) * before.target.period
+    arrival_phase, departure_phase = _asymptotic_phases(before, after)
+    return (departure_phase - arrival_phase + stop_rounds(before, after, wraps)) * before.target.period
 
 
 def stop_rounds(before: Connection, after: Connection, wraps: int) -> int:
-    """Return a connection's phase lead over the next one in whole periods.
+    """Return the whole periods to add to the difference of two connections' phases, so that a stop has its wraps.
 
-    At a rotating orbit, each period shifts the next connection by one turn.
+    The asymptotic phases on the stop's orbit are known only up to whole periods. At a rotating orbit, each period
+    shifts the next connection by one turn.
 
     Args:
         before: connection to an orbit.
         after: next connection, which leaves this orbit.
         wraps: periods of the orbit during the stop.
     """
-    since, until = _asymptotic_phases(before, after)
-    goal = (before.time_in + after.time_out) / before.target.period + wraps + phase_gap(before, after)
-    return round(goal - (until - since))
+    arrival_phase, departure_phase = _asymptotic_phases(before, after)
+    periods_needed = (before.time_in + after.time_out) / before.target.period + wraps + phase_gap(before, after)
+    return round(periods_needed - (departure_phase - arrival_phase))
 
 
 def _asymptotic_phases(before: Connection, after: Connection) -> tuple[float, float]:
-    """Return the stop's asymptotic phases at the section crossings of two connections."""
+    """Return the phases on the stop's orbit (in periods) that belong to the section crossings of two connections.
+
+    The first is the phase of the connection `before` at its crossing, extrapolated backward from its end on the stop's
+    stable manifold. The second is that of `after`, extrapolated forward from its start on the unstable manifold.
+    """
     period = before.target.period
     arrival, departure = before.orbit.end, after.orbit.start
-    since = arrival.orbit_phase - float(before.orbit.times[-1]) / period
-    until = departure.orbit_phase - float(after.orbit.times[0]) / period
-    return since, until
+    arrival_phase = arrival.orbit_phase - float(before.orbit.times[-1]) / period
+    departure_phase = departure.orbit_phase - float(after.orbit.times[0]) / period
+    return arrival_phase, departure_phase
 
 
 class Strands:
     """Samples of connections at equal steps, shared by all walks."""
 
     def __init__(self, segments: int) -> None:
+        """Create an empty cache of samples with `segments` steps per period of the stop's orbit."""
         self.segments = segments
         self._kept: dict[tuple[str, float, int], Array] = {}
 
     def states(self, connection: Connection, sign: int, count: int) -> tuple[Array, float]:
-        """Return states (count + 1, N) and their step, s, a fixed fraction of the target's (sign -1: source's) period.
+        """Return equally spaced states of a connection from its section crossing outward, and the step between them.
 
         Args:
             connection: sampled connection.
             sign: +1 after the section, -1 before it.
             count: number of steps.
+
+        Returns:
+            States (count + 1, N), and the step, s, a fixed fraction of the target's period (for sign -1, of the
+                source's).
         """
         period = (connection.target if sign > 0 else connection.source).period
         step = period / self.segments
@@ -139,7 +152,9 @@ def first_guess(
     settings: ShadowingSettings | None = None,
     strands: Strands | None = None,
 ) -> Guess:
-    """Return the initial guess: samples of connections, joined in mid-stop.
+    """Return the initial guess of a walk's orbit: samples of its connections, joined in the middle of each stop.
+
+    Newton's method keeps one node of each symbol on its section, whose level shifts with the symbol's whole turns.
 
     Args:
         chain: connections of the walk.
@@ -153,8 +168,8 @@ def first_guess(
     system = chain[0].source.system
     offsets = lattice_offsets(chain, wraps)
     pairs = [(chain[k], chain[(k + 1) % len(chain)]) for k in range(len(wraps))]
-    passages = [passage(a, b, n) for n, (a, b) in zip(wraps, pairs, strict=True)]
-    stays = [seconds - a.time_in - b.time_out for seconds, (a, b) in zip(passages, pairs, strict=True)]
+    passages = [passage(first, second, count) for count, (first, second) in zip(wraps, pairs, strict=True)]
+    stays = [time - first.time_in - second.time_out for time, (first, second) in zip(passages, pairs, strict=True)]
     states, durations, owners = [], [], []
     markers: dict[int, tuple[Array, float]] = {}
     ends: list[ManifoldEnd] = []
@@ -163,14 +178,14 @@ def first_guess(
         shift = offsets[k] * system.turn_lengths
         arriving = stays[k - 1] if k > 0 or periodic else None
         leaving = stays[k] if k < len(stays) else None
-        back = _count(connection, -1, arriving, settings)
-        ahead = _count(connection, +1, leaving, settings)
-        before, early = strands.states(connection, -1, back)
-        after, late = strands.states(connection, +1, ahead)
+        steps_before = _count(connection, -1, arriving, settings)
+        steps_after = _count(connection, +1, leaving, settings)
+        before, step_before = strands.states(connection, -1, steps_before)
+        after, step_after = strands.states(connection, +1, steps_after)
         if k == 0 and not periodic:
-            ends.append(connection.orbit.start.moved(-back * early - float(connection.orbit.times[0])))
+            ends.append(connection.orbit.start.moved(-steps_before * step_before - float(connection.orbit.times[0])))
         if leaving is None:
-            end = connection.orbit.end.moved(ahead * late - float(connection.orbit.times[-1]))
+            end = connection.orbit.end.moved(steps_after * step_after - float(connection.orbit.times[-1]))
             ends.append(replace(end, turns=tuple(float(t) for t in np.asarray(end.turns) + offsets[k])))
         if k > 0:
             joints.append(len(durations))
@@ -178,10 +193,10 @@ def first_guess(
             durations.append(_joint(chain[k - 1], connection, stays[k - 1], settings))
         normal = np.asarray(connection.section.normal)
         level = connection.section.level(connection.state) + float(normal @ shift)
-        markers[len(owners) + back] = normal, level
+        markers[len(owners) + steps_before] = normal, level
         states += [before[::-1] + shift, after[1:] + shift]
-        durations += [early] * back + [late] * ahead
-        owners += [k] * (back + ahead + 1)
+        durations += [step_before] * steps_before + [step_after] * steps_after
+        owners += [k] * (steps_before + steps_after + 1)
     turn = None
     if periodic:
         turn = offsets[-1] * system.turn_lengths
@@ -203,11 +218,14 @@ def first_guess(
 
 
 def lattice_offsets(chain: Sequence[Connection], wraps: Sequence[int]) -> Array:
-    """Return the lifts' offsets (k + 1, N) in whole turns.
+    """Return the whole turns by which each symbol of a walk is shifted, since it starts where the previous one ends.
 
     Args:
-        chain: connections of the walk.
+        chain: connections of the walk (k,).
         wraps: periods at each stop.
+
+    Returns:
+        Turns (k + 1, N) of each coordinate at the symbols and after the last one; zero for the first symbol.
     """
     offsets = np.zeros((len(chain) + 1, chain[0].source.system.dimension))
     for k, connection in enumerate(chain):
@@ -220,19 +238,27 @@ def lattice_offsets(chain: Sequence[Connection], wraps: Sequence[int]) -> Array:
 
 
 def _count(connection: Connection, sign: int, stay: float | None, settings: ShadowingSettings) -> int:
-    """Return the number of nodes from section to mid-stop or end."""
+    """Return the number of steps from a connection's section crossing to the middle of its stop or to its end.
+
+    `sign` is +1 after the section and -1 before it. `stay` is the duration of the stop, s, or None at an end of an open
+    walk. There, steps continue until the orbit is as near to its periodic orbit as `settings.amplitude`.
+    """
     orbit, flight = (connection.target, connection.time_in) if sign > 0 else (connection.source, connection.time_out)
     step = orbit.period / settings.segments
     if stay is not None:
         return max(1, int((flight + stay / 2) / step))
     end = connection.orbit.end if sign > 0 else connection.orbit.start
-    at = abs(float(connection.orbit.times[-1 if sign > 0 else 0]))
-    periods = np.log(abs(end.amplitude) / settings.amplitude) / end.manifold.exponent
-    return max(1, int(np.ceil((at + periods * orbit.period) / step)))
+    end_time = abs(float(connection.orbit.times[-1 if sign > 0 else 0]))
+    further_periods = np.log(abs(end.amplitude) / settings.amplitude) / end.manifold.exponent
+    return max(1, int(np.ceil((end_time + further_periods * orbit.period) / step)))
 
 
 def _joint(before: Connection, after: Connection, stay: float, settings: ShadowingSettings) -> float:
-    """Return the time (s) between two connections, one to three steps."""
+    """Return the duration (s) of the segment in mid-stop that joins the samples of two connections.
+
+    It is the rest of the time between their section crossings, which whole steps do not fill: one to three steps.
+    `stay` is the duration of the stop, s.
+    """
     step = before.target.period / settings.segments
     counts = _count(before, +1, stay, settings) + _count(after, -1, stay, settings)
     return before.time_in + stay + after.time_out - counts * step
@@ -332,11 +358,14 @@ class ShadowingOrbit(Timed, Documented, Concluded):
 
 
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:
-    """Return the number of wraps at each stop.
+    """Return the number of wraps that an orbit makes at each stop, from the time between section crossings.
 
     Args:
         connections: the walk. Stop k lies between connections k and k + 1.
         stays: times (S,) between the section crossings on either side of each of the S stops, s.
+
+    Returns:
+        Wraps (S,).
     """
     counts = []
     pairs = zip(connections, [*connections[1:], connections[0]], strict=True)
@@ -357,7 +386,7 @@ def shadow(
     strands: Strands | None = None,
     rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
-    """Return the orbit that follows `connections` in order.
+    """Return the orbit that follows the connections of a walk in order, with given wraps at the stops between them.
 
     Args:
         connections: connections of the walk.
@@ -399,10 +428,10 @@ def walk_of_one(connection: Connection, text: str, *, lead_in: int = 2, lead_out
         lead_in: periods on the first orbit.
         lead_out: periods on the last orbit.
     """
-    begin = connection.time_out + lead_in * connection.source.period
-    ends = np.zeros((2, len(connection.state)))
-    ends[1, : len(connection.winding)] = connection.winding
-    orbit = replace(connection.orbit, times=connection.orbit.times + begin)
+    crossing_time = connection.time_out + lead_in * connection.source.period
+    offsets = np.zeros((2, len(connection.state)))
+    offsets[1, : len(connection.winding)] = connection.winding
+    orbit = replace(connection.orbit, times=connection.orbit.times + crossing_time)
     return ShadowingOrbit(
         walk=(text,),
         connections=(connection,),
@@ -410,10 +439,11 @@ def walk_of_one(connection: Connection, text: str, *, lead_in: int = 2, lead_out
         wraps_realised=(),
         lead_in=lead_in,
         lead_out=lead_out,
-        symbol_times=np.array([begin]),
-        offsets=ends,
-        duration=begin + connection.time_in + lead_out * connection.target.period,
+        symbol_times=np.array([crossing_time]),
+        offsets=offsets,
+        duration=crossing_time + connection.time_in + lead_out * connection.target.period,
         orbit=orbit,
+        # No walk was solved, so the shot has no derivatives from which an error could be estimated.
         shot=Shot(connection.solution, orbit, 0.0, None, np.nan, np.empty((0, 0, 0)), 0),
         estimate=None,
         cause=WalkCause.CONNECTION,
@@ -428,7 +458,7 @@ def described(
     leads: tuple[int, int] = (2, 2),
     rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
-    """Return a solved shot as a shadowing orbit with its error estimate.
+    """Return a solved shot as a shadowing orbit with its error estimate and with the wraps and walk that it realises.
 
     Args:
         shot: solution with its guess.
@@ -474,7 +504,12 @@ def described(
 
 
 def _on_its_walk(orbit: ShadowingOrbit, nodes: NDArray[np.intp], rivals: Sequence[Connection]) -> ShadowingOrbit:
-    """Return the orbit, with a fault if it follows another walk."""
+    """Return the orbit unchanged if it follows its walk, otherwise with the failed symbol and the cause.
+
+    Newton's method may converge to another walk. This is so if the orbit crosses a section nearer to another connection
+    of the same kind, one of `rivals`, or if its counted wraps differ from the requested ones. `nodes` holds the indices
+    of the orbit's nodes on the symbols' sections.
+    """
     system = orbit.system
     for k, (connection, node) in enumerate(zip(orbit.connections, nodes, strict=True)):
         state = orbit.orbit.states[node] - orbit.offsets[k] * system.turn_lengths
@@ -496,6 +531,7 @@ def _on_its_walk(orbit: ShadowingOrbit, nodes: NDArray[np.intp], rivals: Sequenc
 
 
 def _apart(system: System, first: Array, second: Array) -> float:
+    """Return the largest difference between two states (N,) in units of the system's scale."""
     return float(np.max(np.abs(first - second) / system.scale))
 
 
@@ -503,7 +539,7 @@ MOST_WRAPS = 1_000_000
 
 
 def check_stops(chain: Sequence[Connection], wraps: Sequence[int] | None, *, periodic: bool) -> int:
-    """Return the number of stops, one more for a closed walk.
+    """Return the number of stops of a walk: one between neighbouring connections, and one more if it is closed.
 
     Args:
         chain: connections of the walk.
@@ -583,6 +619,8 @@ class WalkSolver:
     ) -> ShadowingOrbit:
         """Return the orbit of a walk with the given wraps.
 
+        The orbit is compared with all connections of the graph, and its wraps are remembered as sufficient.
+
         Args:
             chain: connections of the walk.
             wraps: periods at each stop.
@@ -609,7 +647,7 @@ class WalkSolver:
         return orbit
 
     def least(self, chain: Sequence[Connection], *, periodic: bool = False) -> tuple[int, ...]:
-        """Return the fewest wraps at each stop that give an orbit.
+        """Return the fewest wraps at each stop with which a walk has an orbit.
 
         No single count can be reduced further.
 
@@ -631,18 +669,22 @@ class WalkSolver:
         Args:
             chain: connections of the walk.
             periodic: True for a closed walk.
+
+        Returns:
+            The wraps, or the last attempt's orbit if up to MOST wraps at a stop do not suffice.
         """
         count = len(chain) if periodic else len(chain) - 1
-        wraps, failed = [0] * count, self.solve(chain, [0] * count, periodic=periodic)
+        wraps, orbit = [0] * count, self.solve(chain, [0] * count, periodic=periodic)
         raised: set[int] = set()
-        while not failed.converged:
-            beside = _stops_beside(failed, count, periodic)
-            if not beside or max(wraps[k] for k in beside) >= MOST:
-                return FewestWraps(tuple(wraps), failed)
-            for k in beside:
+        while not orbit.converged:
+            neighbours = _stops_beside(orbit, count, periodic)
+            if not neighbours or max(wraps[k] for k in neighbours) >= MOST:
+                return FewestWraps(tuple(wraps), orbit)
+            for k in neighbours:
                 wraps[k] += 1
-            raised.update(beside)
-            failed = self.solve(chain, wraps, periodic=periodic)
+            raised.update(neighbours)
+            orbit = self.solve(chain, wraps, periodic=periodic)
+        # Counts were raised in pairs, so one of the two may be higher than necessary.
         for k in sorted(raised):
             while wraps[k] > 0:
                 fewer = [n - (j == k) for j, n in enumerate(wraps)]
@@ -652,7 +694,7 @@ class WalkSolver:
         return FewestWraps(tuple(wraps), None)
 
     def advice(self, orbit: ShadowingOrbit) -> FewestWraps:
-        """Return the fewest wraps of a failed walk.
+        """Return the fewest wraps with which a failed walk has an orbit, as advice in the message of the failure.
 
         Args:
             orbit: result that has not converged.
@@ -660,7 +702,7 @@ class WalkSolver:
         return replace(self.fewest(orbit.connections, periodic=orbit.periodic), tried=orbit.wraps)
 
     def missed(self, orbit: ShadowingOrbit, what: str = "", *, first: int = 0) -> GoalMissed:
-        """Return the error of a failed walk, with its symbol and the wraps that work.
+        """Return the error to raise for a failed walk, with its symbol and the wraps that work.
 
         Args:
             orbit: result that has not converged.
@@ -673,7 +715,11 @@ class WalkSolver:
 
 
 def _stops_beside(orbit: ShadowingOrbit, count: int, periodic: bool) -> set[int]:
-    """Return the stops next to the failed symbol."""
+    """Return the indices of the stops before and after an orbit's failed symbol, at which more wraps may help.
+
+    `count` is the number of the walk's stops. Stop k follows symbol k, and the last stop of a periodic walk precedes
+    the first symbol.
+    """
     fault = orbit.fault or 0
     if periodic:
         return {(fault - 1) % count, fault}

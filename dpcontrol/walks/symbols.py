@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
-    """Return the text of a composite edge from names and wraps.
+    """Return the text of a composite edge, such as "(down-up +)·2·(down-up -)".
 
     Args:
         walk: names of the connections (k,).
@@ -51,6 +51,7 @@ class RotatingName:
     rank: int
 
     def __str__(self) -> str:
+        """Return the name as users type it, such as "inner-rotating-back-2"."""
         return f"{self.arm}-rotating{'' if self.sense > 0 else '-back'}{f'-{self.rank}' if self.rank > 1 else ''}"
 
 
@@ -92,7 +93,7 @@ MOST_NESTED = 20
 
 
 def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
-    """Return the saddles, sense, hits and section that a symbol names.
+    """Return a symbol of a walk from its text: its saddles, sense, hits and section, or its parts if it is composite.
 
     Args:
         text: the symbol.
@@ -102,32 +103,35 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
         InputError: the text is not a symbol, or an orbit is not in `saddles`.
     """
     text = text.strip()
-    full = _FULL.fullmatch(text)
-    if (pieces := _pieces(full["place"] if full else text)) is not None:
-        return _grown(text, pieces, full, saddles)
-    match = full or _SHORT.fullmatch(text)
-    parts = {} if match is None else {"sense": None, **match.groupdict()}
-    if match is None or not (parts["target"] or parts["sense"]):
-        other = saddles[min(1, len(saddles) - 1)]
+    full_match = _FULL.fullmatch(text)
+    if (pieces := _pieces(full_match["place"] if full_match else text)) is not None:
+        return _grown(text, pieces, full_match, saddles)
+    match = full_match or _SHORT.fullmatch(text)
+    groups = {} if match is None else {"sense": None, **match.groupdict()}
+    if match is None or not (groups["target"] or groups["sense"]):
+        example = saddles[min(1, len(saddles) - 1)]
         raise InputError(
-            f'{text!r} is not a symbol; write "{saddles[0]} +", "{saddles[0]} > {other}" or a connection\'s name '
+            f'{text!r} is not a symbol; write "{saddles[0]} +", "{saddles[0]} > {example}" or a connection\'s name '
             "from `dpcontrol connect`"
         )
-    source = parts["source"]
-    target = parts["target"] or source
+    source = groups["source"]
+    target = groups["target"] or source
     rotating = [str(name) for name in _ROTATING if str(replace(name, rank=1)) in saddles]
     for name in (source, target):
         if name not in (*saddles, *rotating):
             raise InputError(f"{text!r}: {name!r} has no tubes; {suggest(name, saddles)}")
-    sense = {"+": 1, "-": -1, None: None}[parts.get("sense")]
-    if full is None and source == target and sense is None:
+    sense = {"+": 1, "-": -1, None: None}[groups.get("sense")]
+    if full_match is None and source == target and sense is None:
         raise InputError(f'{text!r} has no direction of rotation; write "{source} +" or "{source} -"')
-    hits = (int(full["out"]), int(full["back"])) if full else None
-    return Symbol(text, source, target, sense, text if full else None, hits, parts.get("section"))
+    hits = (int(full_match["out"]), int(full_match["back"])) if full_match else None
+    return Symbol(text, source, target, sense, text if full_match else None, hits, groups.get("section"))
 
 
 def _pieces(text: str) -> list[str] | None:
-    """Return the texts outside and inside the outermost brackets in turn, or None without brackets.
+    """Split a composite edge "(A)·2·(B)" at its outermost brackets.
+
+    Returns:
+        The texts outside and inside the brackets in turn, or None if `text` is no composite edge.
 
     Raises:
         InputError: the brackets are nested too deeply.
@@ -143,13 +147,20 @@ def _pieces(text: str) -> list[str] | None:
         if depth > MOST_NESTED:
             raise InputError(f"{text[:60]!r}…: brackets may be nested at most {MOST_NESTED} deep")
     # The dots are optional, because few keyboards have them.
-    between = [piece.strip(" ·") for piece in pieces[::2]]
-    composite = len(pieces) > 2 and depth == 0 and not (between[0] or between[-1])
-    return pieces if composite and all(count.isdecimal() for count in between[1:-1]) else None
+    outside = [piece.strip(" ·") for piece in pieces[::2]]
+    composite = len(pieces) > 2 and depth == 0 and not (outside[0] or outside[-1])
+    return pieces if composite and all(count.isdecimal() for count in outside[1:-1]) else None
 
 
 def _grown(text: str, pieces: list[str], full: re.Match[str] | None, saddles: Sequence[str]) -> Symbol:
-    """Return the symbol of a composite edge from its pieces and its full name, if any."""
+    """Return the symbol of a composite edge, such as "(A)·2·(B)", from its parts and the wraps between them.
+
+    `pieces` are its texts outside and inside the brackets in turn, see `_pieces`. `full` matches the edge's full name,
+    which begins with its saddles and winding, and is None if the text has brackets only.
+
+    Raises:
+        InputError: a text in brackets is no symbol, the symbols are not connected, or the full name has other ends.
+    """
     try:
         parts = parse_walk(pieces[1::2], saddles)
     except InputError as error:
@@ -161,7 +172,7 @@ def _grown(text: str, pieces: list[str], full: re.Match[str] | None, saddles: Se
 
 
 def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ...]:
-    """Parse a walk and check that its symbols are connected.
+    """Return the parsed symbols of a walk, after a check that each starts where the one before it ends.
 
     Args:
         texts: symbols of the walk.
@@ -183,11 +194,14 @@ def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ..
 
 
 def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Return the texts and wraps with all composite edges expanded.
+    """Return the walk with each composite edge replaced by the elementary symbols and wraps that it consists of.
 
     Args:
         symbols: the walk.
         wraps: one count between neighbouring symbols, and one more if the walk closes.
+
+    Returns:
+        Texts of the elementary symbols, and the wraps between them.
     """
     texts: list[str] = []
     counts: list[int] = []
@@ -205,7 +219,7 @@ _LIKE = 2.0
 
 
 def choose(symbol: Symbol, connections: "Sequence[Connection]", loss: Loss | None = None) -> "Connection":
-    """Return the connection that a symbol selects.
+    """Return the connection that a symbol selects among those between its stops at one energy.
 
     Args:
         symbol: selection by name, or by stops and sense.
@@ -219,16 +233,20 @@ def choose(symbol: Symbol, connections: "Sequence[Connection]", loss: Loss | Non
         for connection in connections:
             if connection.name == symbol.name:
                 return connection
-        names = ", ".join(sorted(c.name for c in connections)) or "none"
+        names = ", ".join(sorted(candidate.name for candidate in connections)) or "none"
         raise InputError(f"no connection is named {symbol.name!r} at this energy; available: {names}")
-    fitting = [c for c in connections if symbol.sense is None or c.sense == symbol.sense]
-    if not fitting:
+    matching = [candidate for candidate in connections if symbol.sense is None or candidate.sense == symbol.sense]
+    if not matching:
         raise InputError(
             f"{symbol.text!r}: no such connection at this energy; `dpcontrol connect` lists the available ones"
         )
-    if loss is not None and len(fitting) > 1:
-        losses = [loss(c) for c in fitting]
-        fitting = [c for c, lost in zip(fitting, losses, strict=True) if lost <= _LIKE * min(losses)]
-    symmetric = [c for c in fitting if c.symmetric] or fitting
+    if loss is not None and len(matching) > 1:
+        losses = [loss(candidate) for candidate in matching]
+        matching = [
+            candidate for candidate, value in zip(matching, losses, strict=True) if value <= _LIKE * min(losses)
+        ]
+    symmetric = [candidate for candidate in matching if candidate.symmetric] or matching
     # Mirror images have the same angle up to rounding; the positive sense takes precedence.
-    return max(symmetric, key=lambda c: (round(c.transversality_angle, 6), c.sense, c.name))
+    return max(
+        symmetric, key=lambda candidate: (round(candidate.transversality_angle, 6), candidate.sense, candidate.name)
+    )

@@ -46,35 +46,39 @@ _MIRRORED = 1e-7  # scaled distance; above the error of states (1e-11), below th
 
 
 def as_connection(orbit: ShadowingOrbit) -> Connection:
-    """Return a converged open shadowing orbit as an edge for other walks.
+    """Return a converged open shadowing orbit as a connection, which longer walks can use as one symbol.
+
+    Such a connection is a composite edge of the connection graph.
 
     Args:
         orbit: converged orbit of an open walk.
     """
-    first, last = orbit.connections[0], orbit.connections[-1]
-    source, target, section = first.source, last.target, first.section
+    first_symbol, last_symbol = orbit.connections[0], orbit.connections[-1]
+    source, target, section = first_symbol.source, last_symbol.target, first_symbol.section
     system = source.system
     nodes = sorted(orbit.shot.guess.markers)
     motion = replace(orbit.orbit, times=orbit.orbit.times - orbit.symbol_times[0])
     state = motion.states[nodes[0]]
-    winding = tuple(int(k) for k in orbit.offsets[-1][: len(first.winding)])
+    winding = tuple(int(k) for k in orbit.offsets[-1][: len(first_symbol.winding)])
     # The mirror image starts at the last symbol of the original. It may still differ between the ends.
     stay = float(orbit.symbol_times[-1] - orbit.symbol_times[0])
-    along = motion.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
+    middle_part = motion.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
     symmetric = source.saddle == target.saddle and any(
-        float(system.scaled_distance((along[::-1] - source.centre) @ reverser.T + source.centre, along).max())
+        float(
+            system.scaled_distance((middle_part[::-1] - source.centre) @ reverser.T + source.centre, middle_part).max()
+        )
         < _MIRRORED
         for reverser in system.reversers
     )
-    near = ConnectionSettings().near
-    time_out, phase_out = approach(motion, OrbitCurve(source), -1, near)
+    approach_distance = ConnectionSettings().near
+    time_out, phase_out = approach(motion, OrbitCurve(source), -1, approach_distance)
     curve = OrbitCurve(target)
-    since = _last_far(motion, curve)
-    time_in, phase_in = approach(replace(motion, times=motion.times - since), curve, +1, near)
+    last_far_time = _last_far(motion, curve)
+    time_in, phase_in = approach(replace(motion, times=motion.times - last_far_time), curve, +1, approach_distance)
     # Outside this span, an orbit that crosses the section itself would add its laps to the count.
-    since_left = -time_out if source.laps else float(motion.times[0])
-    till_joined = since + time_in if target.laps else float(motion.times[-1])
-    hits = section_hits(motion, section, (since_left, till_joined))
+    departure = -time_out if source.laps else float(motion.times[0])
+    arrival = last_far_time + time_in if target.laps else float(motion.times[-1])
+    hits = section_hits(motion, section, (departure, arrival))
     turns = ",".join(str(k) for k in winding)
     edge = Connection(
         name=f"{source.saddle}>{target.saddle}[{turns}]h{hits[0]}.{hits[1]}@{composed(orbit.walk, orbit.wraps)}",
@@ -89,7 +93,7 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
         transversality_angle=transversality_angle(orbit, nodes[0]),
         hits=hits,
         time_out=time_out,
-        time_in=since + time_in,
+        time_in=last_far_time + time_in,
         phase_out=phase_out,
         phase_in=phase_in,
         orbit=motion,
@@ -98,45 +102,50 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
 
 
 def _last_far(orbit: ShootingOrbit, curve: OrbitCurve) -> float:
-    """Return the last nonnegative time (s) far from the final orbit.
+    """Return the last time (s) at which a composite edge is still far from the periodic orbit that it joins.
 
-    The last symbol's section crossing is too early if the symbol is a composite edge with later stops.
+    `orbit` has time zero at its first symbol's section crossing, and `curve` is the last periodic orbit. The edge's
+    arrival is sought after this time only, since it may pass near that orbit at earlier stops too. If the edge is never
+    far, the result is zero.
     """
-    last = float(orbit.times[-1])
-    grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 50))))
-    far = np.flatnonzero(curve.distances(orbit.sample(grid))[1] > _FAR)
-    return float(grid[far[-1]]) if far.size else 0.0
+    end_time = float(orbit.times[-1])
+    grid = np.linspace(0.0, end_time, max(2, int(np.ceil(end_time / curve.orbit.period * 50))))
+    far_samples = np.flatnonzero(curve.distances(orbit.sample(grid))[1] > _FAR)
+    return float(grid[far_samples[-1]]) if far_samples.size else 0.0
 
 
 def section_hits(
     orbit: ShootingOrbit, section: Section, span: tuple[float, float], *, per_segment: int = 40
 ) -> tuple[int, int]:
-    """Return (n_u, n_s), the crossing number of time zero from both ends.
+    """Return (n_u, n_s), the crossing number of time zero counted from the start and from the end of an orbit.
+
+    At time zero, the unstable tube crosses the section for the n_u-th time, and the stable tube for the n_s-th time,
+    which are the hits of a connection.
 
     Args:
-        orbit: orbit that crosses the lifted section.
+        orbit: orbit that crosses the section at time zero.
         section: the section.
         span: time interval in which crossings count, s.
         per_segment: samples per shooting segment.
     """
     shares = np.linspace(0.0, 1.0, per_segment, endpoint=False)
-    within = orbit.times[:-1, None] + np.diff(orbit.times)[:, None] * shares
-    grid = np.append(within.ravel(), orbit.times[-1])
+    segment_times = orbit.times[:-1, None] + np.diff(orbit.times)[:, None] * shares
+    grid = np.append(segment_times.ravel(), orbit.times[-1])
     grid = grid[(grid >= span[0]) & (grid <= span[1])]
     states = orbit.sample(grid)
     # The crossing at time zero lies on a node, so rounding decides its side of the section.
-    where = [k for k in np.flatnonzero(np.diff(section.sheets(states))) if section.admits(states[k])]
+    crossings = [k for k in np.flatnonzero(np.diff(section.sheets(states))) if section.admits(states[k])]
     spacing = float(np.diff(grid).max())
-    before = sum(1 for k in where if grid[k + 1] < -spacing / 2)
-    after = sum(1 for k in where if grid[k] > spacing / 2)
-    return before + 1, after + 1
+    crossings_before = sum(1 for k in crossings if grid[k + 1] < -spacing / 2)
+    crossings_after = sum(1 for k in crossings if grid[k] > spacing / 2)
+    return crossings_before + 1, crossings_after + 1
 
 
 def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
-    """Return the angle (deg) between the manifolds in (q, p/p₀).
+    """Return the angle (deg) between the unstable and the stable manifold at a node, in section coordinates (q, p/p₀).
 
     State-transition matrices propagate the unstable tangent forward from the first node and the stable tangent backward
-    from the last node. Both propagations are contracting in direction.
+    from the last node. Both propagations are contracting in direction, so errors of the first tangents vanish.
 
     Args:
         orbit: open shadowing orbit.
@@ -158,7 +167,10 @@ def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
 
 
 def _on_section(system: System, section: Section, state: Array, tangent: Array) -> Array:
-    """Project a tangent (N,) along the flow onto section coordinates (q, p/p₀)."""
+    """Project a tangent vector (N,) at a state (N,) onto the section along the flow.
+
+    The result (2,) holds the section's coordinates (q, p/p₀), in which the cuts of tubes are curves whose angle counts.
+    """
     rate, normal = system.numeric.rate(state), np.asarray(section.normal)
     across = tangent - rate * (normal @ tangent) / (normal @ rate)
     momentum = np.asarray(section.momentum) @ (system.numeric.momentum_jacobian(state) @ across)
@@ -173,7 +185,7 @@ LISTED = 100_000
 def symmetric_walk(
     walk: Sequence[str], search: SymmetricSearch, *, energy: float | None = None, lead_in: int = 2, lead_out: int = 2
 ) -> ShadowingOrbit:
-    """Return a walk of one symbol for three arms.
+    """Return the orbit of a walk of one symbol for three arms, whose connections exist at single energies.
 
     Args:
         walk: one symbol, such as "down-down-up +" or a connection's name.
@@ -191,26 +203,27 @@ def symmetric_walk(
             "another; give each symbol as a separate walk"
         )
     (symbol,) = parse_walk(walk, [search.saddle])
-    both = [image for candidate in search.connections for image in (candidate, mirror_image(candidate))]
-    fits = [
+    candidates = [image for candidate in search.connections for image in (candidate, mirror_image(candidate))]
+    matching = [
         candidate
-        for candidate in both
+        for candidate in candidates
         if symbol.name in (None, candidate.name) and symbol.sense in (None, candidate.sense)
     ]
-    if not fits:
-        names = f" ({', '.join(candidate.name for candidate in both)})" if both else ""
+    if not matching:
+        names = f" ({', '.join(candidate.name for candidate in candidates)})" if candidates else ""
         raise InputError(
             f"{walk[0]!r} matches no symmetric connection, {search.status}{names}; `dpcontrol connect --energies` "
             "lists those in any range"
         )
     nearest = min(
-        fits, key=lambda candidate: candidate.source.energy if energy is None else abs(candidate.source.energy - energy)
+        matching,
+        key=lambda candidate: candidate.source.energy if energy is None else abs(candidate.source.energy - energy),
     )
     return walk_of_one(nearest, walk[0], lead_in=lead_in, lead_out=lead_out)
 
 
 def resolve(texts: Sequence[str], edges: Edges, loss: Loss | None = None) -> Walk:
-    """Return the connections that the symbols of a walk select.
+    """Return the connections that the symbols of a walk select at one energy, one for each symbol.
 
     Args:
         texts: symbols of the walk.
@@ -235,20 +248,26 @@ def resolve(texts: Sequence[str], edges: Edges, loss: Loss | None = None) -> Wal
         except GoalMissed as error:
             raise GoalMissed(f"symbol {k + 1} of {len(symbols)} ({symbol.text}): {error}", symbol=k) from error
         except InputError as error:
-            reasons = [why for saddle, why in edges.absent if saddle in (symbol.source, symbol.target)]
-            why = f" ({'; '.join(reasons)})" if reasons else ""
-            sentence = f"symbol {k + 1} of {len(symbols)}: {error}{why}{_nearest(symbols, edges)}"
+            reasons = [reason for saddle, reason in edges.absent if saddle in (symbol.source, symbol.target)]
+            reason = f" ({'; '.join(reasons)})" if reasons else ""
+            sentence = f"symbol {k + 1} of {len(symbols)}: {error}{reason}{_nearest(symbols, edges)}"
             raise InputError(sentence, symbol=k) from error
     return tuple(chain)
 
 
 def vertex_names(system: System) -> list[str]:
-    """Return the names of possible stops, saddles and rotating orbits."""
+    """Return the names that a walk's symbols may use for their stops: the system's saddles and fastest rotating orbits.
+
+    Args:
+        system: system of the graph.
+    """
     return [*system.saddles, *rotating_names(system)]
 
 
 def _connection(symbol: Symbol, edges: Edges, loss: Loss | None) -> Connection:
-    """Return the connection that a symbol selects; composite edges are solved.
+    """Return the connection that a symbol selects at the graph's energy.
+
+    The orbit of a composite edge is solved first. `loss` is what a connection costs its feedback, see `choose`.
 
     Raises:
         InputError: no connection matches.
@@ -259,46 +278,52 @@ def _connection(symbol: Symbol, edges: Edges, loss: Loss | None) -> Connection:
         orbit = solver.solve([_connection(part, edges, loss) for part in symbol.parts], symbol.wraps)
         if not orbit.converged:
             raise solver.missed(orbit)
-        edge = as_connection(orbit)
-        if symbol.name not in (None, edge.name):
-            raise InputError(f"no edge is named {symbol.name!r}: its symbols give {edge.name!r}")
-        return edge
+        composite_edge = as_connection(orbit)
+        if symbol.name not in (None, composite_edge.name):
+            raise InputError(f"no edge is named {symbol.name!r}: its symbols give {composite_edge.name!r}")
+        return composite_edge
     pair = (symbol.source, symbol.target)
     candidates = edges.between(*pair)
     if symbol.name is not None:
         candidates += tuple(c for c in edges.named if (c.source.saddle, c.target.saddle) == pair)
     elif not candidates and any(name in ROTATING for name in pair):
         searches = [search for search in edges.incomplete if (search.source.saddle, search.target.saddle) == pair]
-        why = f" ({searches[0].status})" if searches else ""
+        reason = f" ({searches[0].status})" if searches else ""
         place = f"{edges.energy:g}{edges.system.unit('J')}"
-        raise InputError(f"{symbol.text!r}: no such connection was found at {place}{why}; try another energy")
+        raise InputError(f"{symbol.text!r}: no such connection was found at {place}{reason}; try another energy")
     return choose(symbol, candidates, loss)
 
 
 def _nearest(symbols: Sequence[Symbol], edges: Edges) -> str:
-    """Describe the existing walk with as many of the stops as possible."""
+    """Return the end of an error message that names an existing walk with as many of the requested stops as possible.
+
+    The text is empty if no walk leads through two of the stops.
+    """
     stops = [symbols[0].source, *(s.target for s in symbols)]
-    left = [stop for stop in stops if stop in edges.orbits]
+    stops_with_orbits = [stop for stop in stops if stop in edges.orbits]
     # Stops are dropped from the end; as a last resort, any connection between them is offered.
-    tries = [left[:count] for count in range(len(left), 1, -1)]
-    tries += sorted(edges.searched, key=lambda pair: -len(set(pair) & set(stops)))
-    for wanted in tries:
+    candidate_stops = [stops_with_orbits[:count] for count in range(len(stops_with_orbits), 1, -1)]
+    candidate_stops += sorted(edges.searched, key=lambda pair: -len(set(pair) & set(stops)))
+    for candidate in candidate_stops:
         with suppress(InputError):
-            return "; the nearest existing walk is " + ", ".join(f"{c.name!r}" for c in through(wanted, edges))
+            return "; the nearest existing walk is " + ", ".join(f"{c.name!r}" for c in through(candidate, edges))
     return ""
 
 
 def ways(stops: Sequence[str]) -> tuple[Symbol, ...]:
-    """Return symbols for any connection between each two successive stops.
+    """Return one symbol for each two successive stops, which leaves the connection between them open.
 
     Args:
-        stops: names of saddles, in order.
+        stops: names of saddles or rotating orbits (k,), in order.
+
+    Returns:
+        Symbols (k - 1,) such as "down-up > up-down", without a sense.
     """
     return tuple(Symbol(f"{a} > {b}", a, b, None, None) for a, b in pairwise(stops))
 
 
 def through(stops: Sequence[str], edges: Edges) -> Walk:
-    """Return the shortest walk that visits saddles in order.
+    """Return the shortest walk that visits saddles in order, with other stops between them if necessary.
 
     Each step uses the most transversal connection, preferably symmetric. A repeated stop gives a homoclinic connection.
 
@@ -327,7 +352,10 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
 
 
 def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
-    """Return the saddles and the matrix of connection counts."""
+    """Return the k names of the graph's orbits and the matrix (k, k) of the number of connections from row to column.
+
+    Its n-th power counts the walks of n symbols. Entries are Python's integers, since these counts exceed 64 bits.
+    """
     import networkx as nx
 
     names = list(edges.orbits)
@@ -336,7 +364,7 @@ def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
 
 
 def count_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> int:
-    """Return the number of walks of given length.
+    """Return the number of walks with a number of symbols on the connection graph.
 
     Args:
         edges: connections at one energy.
@@ -349,16 +377,16 @@ def count_walks(edges: Edges, length: int, *, source: str | None = None, target:
     """
     names, counts = _matrix(edges)
     _check(edges, source, target)
-    power = np.linalg.matrix_power(counts, length)
+    counts_of_walks = np.linalg.matrix_power(counts, length)
     rows = [k for k, name in enumerate(names) if source in (None, name)]
     columns = [k for k, name in enumerate(names) if target in (None, name)]
-    return int(power[np.ix_(rows, columns)].sum())
+    return int(counts_of_walks[np.ix_(rows, columns)].sum())
 
 
 def listed(
     edges: Edges, length: int, *, source: str | None = None, target: str | None = None, periodic: bool = False
 ) -> list[Walk]:
-    """Return every walk of given length.
+    """Return every walk with a number of symbols on the connection graph.
 
     Args:
         edges: connections at one energy.
@@ -378,13 +406,18 @@ def listed(
             "--random (random_walks in Python)"
         )
     graph, connections = edges.graph(), {c.name: c for c in edges.connections}
-    names = (n for a in edges.orbits if source in (None, a) for n in walks(graph, a, target=target, length=length))
-    chains = (tuple(connections[name] for name in walk) for walk in names)
+    name_lists = (
+        symbols
+        for stop in edges.orbits
+        if source in (None, stop)
+        for symbols in walks(graph, stop, target=target, length=length)
+    )
+    chains = (tuple(connections[name] for name in walk) for walk in name_lists)
     return [chain for chain in chains if not periodic or chain[0].source.saddle == chain[-1].target.saddle]
 
 
 def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, periodic: bool = False) -> Walk:
-    """Draw a walk with uniform probability.
+    """Draw a walk on the connection graph, such that all walks of this length are equally likely.
 
     Args:
         edges: connections at one energy.
@@ -396,35 +429,46 @@ def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, pe
         InputError: there is no such walk.
     """
     names, counts = _matrix(edges)
+    # Entry (i, j) of power k counts the walks of k symbols from i to j. Each step is drawn in proportion to the number
+    # of ways in which the walk can be completed, so that all walks are equally likely.
     powers = [np.linalg.matrix_power(counts, k) for k in range(length + 1)]
-    onward = np.ones(len(names), dtype=object)
-    first = np.array([powers[length][k, k] if periodic else (powers[length] @ onward)[k] for k in range(len(names))])
-    if not first.sum():
+    ones = np.ones(len(names), dtype=object)
+    start_weights = np.array(
+        [powers[length][k, k] if periodic else (powers[length] @ ones)[k] for k in range(len(names))]
+    )
+    if not start_weights.sum():
         place, kind = f"{edges.energy:g}{edges.system.unit('J')}", "closed walk" if periodic else "walk"
         raise InputError(f"no {kind} of {length} symbols exists at {place}")
-    at = start = _drawn(first, generator)
+    stop = start = _drawn(start_weights, generator)
     chain: list[Connection] = []
-    for left in range(length - 1, -1, -1):
-        leaving = edges.leaving(names[at])
-        ends = [names.index(c.target.saddle) for c in leaving]
-        weights = np.array([powers[left][e, start] if periodic else (powers[left] @ onward)[e] for e in ends])
-        chosen = leaving[_drawn(weights, generator)]
-        chain.append(chosen)
-        at = names.index(chosen.target.saddle)
+    for remaining in range(length - 1, -1, -1):
+        leaving = edges.leaving(names[stop])
+        end_stops = [names.index(c.target.saddle) for c in leaving]
+        weights = np.array(
+            [powers[remaining][e, start] if periodic else (powers[remaining] @ ones)[e] for e in end_stops]
+        )
+        connection = leaving[_drawn(weights, generator)]
+        chain.append(connection)
+        stop = names.index(connection.target.saddle)
     return tuple(chain)
 
 
 def _drawn(weights: NDArray[np.object_], generator: np.random.Generator) -> int:
-    """Draw an index with probability proportional to integer weights of any size."""
+    """Draw an index of `weights` with probability proportional to its entry, an integer of any size."""
     total = weights.sum()
     shares = np.array([float(weight / total) for weight in weights])
     return int(generator.choice(len(shares), p=shares / shares.sum()))
 
 
 def _check(edges: Edges, source: str | None, target: str | None) -> None:
+    """Reject a name of a first or last stop that has no orbit in the graph; None stands for any stop.
+
+    Raises:
+        InputError: the saddle has no orbit at this energy; the message gives the reason.
+    """
     for saddle in (source, target):
         if saddle is not None and saddle not in edges.orbits:
-            reasons = [why for name, why in edges.absent if name == saddle]
+            reasons = [reason for name, reason in edges.absent if name == saddle]
             raise InputError(f"{saddle!r}: {reasons[0] if reasons else suggest(saddle, edges.orbits)}")
 
 
@@ -526,7 +570,7 @@ def drawn_requests(
     periodic: bool,
     leads: tuple[int, int] = (2, 2),
 ) -> list[WalkRequest]:
-    """Draw `count` walks with random lengths and extra wraps.
+    """Draw `count` walks on the connection graph with random lengths and random wraps beyond the fewest possible.
 
     Args:
         edges: connections at one energy.
@@ -551,8 +595,8 @@ def drawn_requests(
         length = int(generator.integers(lengths[0], lengths[1] + 1))
         chain = random_walk(edges, length, generator, periodic=periodic)
         stops = length if periodic else length - 1
-        more = tuple(int(n) for n in generator.integers(extra[0], extra[1] + 1, stops))
-        requests.append(WalkRequest(chain, periodic, None, more, *leads))
+        extra_wraps = tuple(int(n) for n in generator.integers(extra[0], extra[1] + 1, stops))
+        requests.append(WalkRequest(chain, periodic, None, extra_wraps, *leads))
     return requests
 
 
@@ -586,11 +630,11 @@ class WalkSelection:
 
     @property
     def selected_by(self) -> list[str]:
-        """Names of the ways in which walks are selected."""
+        """Names of the ways in which the attributes select walks; more than one is a contradiction."""
         return [name for name in ("symbols", "through", "length", "random") if getattr(self, name)]
 
     def check(self, *, solve: bool, yes: bool) -> None:
-        """Reject contradictions, and announce long work.
+        """Reject contradictory selections, and announce long work before it begins.
 
         Args:
             solve: the walks' orbits are requested.
@@ -613,6 +657,10 @@ class WalkSelection:
             self._announce(1, len(stops), "wraps" if self.wraps else names[0], solve=solve, yes=yes)
 
     def _announce(self, count: int, longest: int, key: str, *, solve: bool, yes: bool) -> None:
+        """Report the cost of `count` walks of up to `longest` symbols, and reject long work that `yes` does not accept.
+
+        The message names `key`, the option that sets the cost; `solve` includes the solution of the orbits.
+        """
         wraps = max(sum(self.wraps or ()), self.extra_wraps[1] * longest)
         announce(walks_cost(count, symbols=longest, wraps=wraps, solve=solve, key=key), yes=yes)
 
@@ -625,7 +673,7 @@ class WalkSelection:
         return parse_walk(self.symbols, vertex_names(system)) if self.symbols else ways(self.through)
 
     def requests(self, edges: Edges, *, solve: bool, yes: bool) -> tuple[WalkRequest, ...]:
-        """Return the selected walks of a graph.
+        """Return the selected walks of a graph, each with the wraps that its orbit must make.
 
         Args:
             edges: connections at one energy.
@@ -760,7 +808,7 @@ _NODES, _NODE_BYTES = 8, 7_000.0
 
 
 def walks_cost(count: int, *, symbols: int, wraps: int, solve: bool, key: str) -> Cost:
-    """Estimate the cost of walks.
+    """Estimate the time and memory of drawing and solving walks, for a message before long work.
 
     Args:
         count: number of walks.
@@ -779,7 +827,7 @@ def walks_cost(count: int, *, symbols: int, wraps: int, solve: bool, key: str) -
 
 
 def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[WalkAnswer]:
-    """Solve the requests in order.
+    """Yield the orbit of each requested walk, in order and as soon as it is solved.
 
     Args:
         requests: walks of one graph.
@@ -793,19 +841,24 @@ def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[Walk
 
 
 def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
-    least, wraps = None, request.wraps
+    """Return the orbit of a walk with the requested wraps, or with the fewest that suffice and the requested extra
+    ones.
+
+    Without an orbit, the answer holds wraps that suffice, if there are any.
+    """
+    fewest_wraps, wraps = None, request.wraps
     if wraps is None:
         fewest = solver.fewest(request.chain, periodic=request.periodic)
         if fewest.failed is not None:
             return WalkAnswer(request, None, None, 0.0, fewest)
-        least = fewest.wraps
-        wraps = tuple(n + more for n, more in zip(least, request.extra, strict=True))
-    began = time.perf_counter()
+        fewest_wraps = fewest.wraps
+        wraps = tuple(n + extra_wraps for n, extra_wraps in zip(fewest_wraps, request.extra, strict=True))
+    begin = time.perf_counter()
     orbit = solver.solve(
         request.chain, wraps, periodic=request.periodic, lead_in=request.lead_in, lead_out=request.lead_out
     )
-    seconds = time.perf_counter() - began
-    return WalkAnswer(request, least, orbit, seconds, None if orbit.converged else solver.advice(orbit))
+    seconds = time.perf_counter() - begin
+    return WalkAnswer(request, fewest_wraps, orbit, seconds, None if orbit.converged else solver.advice(orbit))
 
 
 _ESTIMATE = (
@@ -815,11 +868,12 @@ _ESTIMATE = (
 
 
 def _estimate(orbit: ShadowingOrbit) -> dict[str, Any] | None:
+    """Return the error estimate of a walk's orbit as entries of a document or a file's header, None without one."""
     return None if orbit.estimate is None else document_of(orbit.estimate, _ESTIMATE)
 
 
 def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: ExtendedOrbit | None = None) -> None:
-    """Write an orbit to a .npz file.
+    """Write the orbit of a walk to a .npz file, which numpy alone can read.
 
     The file has a `header` (JSON text) and these arrays:
 

@@ -8,7 +8,7 @@ from dpcontrol.words.table import Line
 
 
 def figures(result: Any) -> Iterator[Line]:
-    """Yield file, caption and difference of each figure.
+    """Yield file, caption and difference from the paper of each figure, as a verb prints them.
 
     Args:
         result: a `DrawnFigures`.
@@ -22,7 +22,7 @@ def figures(result: Any) -> Iterator[Line]:
 
 
 def charts(result: Any) -> Iterator[Line]:
-    """Yield files, tables and findings of each chart.
+    """Yield files, tables and findings of each benchmark chart, as a verb prints them.
 
     Args:
         result: a `DrawnCharts`.
@@ -39,4 +39,5 @@ def charts(result: Any) -> Iterator[Line]:
 
 
 def _paragraph(text: str) -> str:
+    """Return a text wrapped to 110 characters and indented, as a paragraph below the name of a file."""
     return fill(text, 110, initial_indent="  ", subsequent_indent="  ")

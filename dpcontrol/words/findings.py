@@ -1,4 +1,7 @@
-"""Sentences and remedies of commissioning's findings, by step and cause."""
+"""Sentences and remedies of commissioning's findings, by step and cause.
+
+`f` are the numbers and names of a finding, `c` the measured values that [run] of the itinerary should have.
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -21,15 +24,24 @@ def _with_error(value: float, error: float) -> str:
 
 
 def _each(values: Sequence[float], errors: Sequence[float], scale: float = 1.0) -> str:
+    """Return several numbers with their standard errors.
+
+    Args:
+        values: numbers in SI units.
+        errors: their standard errors.
+        scale: factor to the unit of the text.
+    """
     pairs = zip(values, errors, strict=True)
     return " and ".join(_with_error(scale * value, scale * error) for value, error in pairs)
 
 
 def _counts(values: Sequence[int | None], none: str) -> str:
+    """Return the counts per turn of encoders; `none` stands for an encoder that shows no rounding to counts."""
     return " and ".join(f"{value:,}" if value else none for value in values)
 
 
 def _late(f: Figures) -> str:
+    """Return the sentence on the deadlines of a commissioning: late ticks, lost readings, repeated commands."""
     return (
         f"of {f['ticks']:,} ticks {f['late']} began at least a period late, and {f['lost']} had no reading; the bench "
         f"repeated a command {f['held']} times"
@@ -37,25 +49,29 @@ def _late(f: Figures) -> str:
 
 
 def _delay(f: Figures) -> str:
+    """Return the clause on the measured delay and lag of the drive, with their standard errors."""
     lag = _with_error(1e3 * f["lag"], 1e3 * f["lag_error"])
     return f"the delay is {_with_error(f['delay'], f['delay_error'])} periods, the lag {lag} ms"
 
 
 def _factors(f: Figures) -> str:
-    """Factors of the encoders that there are."""
+    """Return the measured shares of the model's swing, of the encoders whose share could be measured."""
     pairs = zip(f["factors"], f["errors"], strict=True)
     return ", ".join(f"{factor:.2f}" for factor, error in pairs if error is not None)
 
 
 def _zeros(f: Figures) -> str:
+    """Return the sentence on the readings of the hanging arms, which are zero if the encoders are set correctly."""
     return f"hanging still, the arms read {_each(f['zeros'], f['zero_errors'])} rad"
 
 
 def _friction(f: Figures) -> str:
+    """Return the clause on the measured dry friction of the joints, with standard errors."""
     return f"the joints have a dry friction of {_each(f['torques'], f['errors'], 1e3)} mN m"
 
 
 def _model(f: Figures) -> str:
+    """Return the sentence on the arms' measured frequencies and damping in comparison with the model."""
     shares = ", ".join(f"{100 * (ratio - 1):+.1f} %" for ratio in f["ratios"])
     return (
         f"the arms swing at {', '.join(f'{value:.3f}' for value in f['frequencies'])} Hz, {shares} off the model's, "
@@ -64,10 +80,11 @@ def _model(f: Figures) -> str:
 
 
 def _mirrored(f: Figures) -> str:
-    either, other = (
+    """Return the sentence on two sets of reversed signs that no measurement can tell apart."""
+    first_set, second_set = (
         " and ".join(_NAMES.get(name, f"the encoder of {name}") for name in names) for names in f["reversed"]
     )
-    return f"either {either} are reversed, or {other}: the readings are the same"
+    return f"either {first_set} are reversed, or {second_set}: the readings are the same"
 
 
 FINDINGS: Mapping[tuple[str, Cause], Callable[[Figures, Figures], tuple[str, str]]] = {
@@ -277,7 +294,7 @@ FINDINGS: Mapping[tuple[str, Cause], Callable[[Figures, Figures], tuple[str, str
 
 
 def told(step: str, cause: Cause, figures: Figures, changes: Figures) -> tuple[str, str]:
-    """Return the sentence and the remedy of a finding.
+    """Return the sentence on a finding of commissioning, and the remedy, "" for a finding without a defect.
 
     Args:
         step: step of commissioning.
@@ -285,5 +302,5 @@ def told(step: str, cause: Cause, figures: Figures, changes: Figures) -> tuple[s
         figures: its numbers and names.
         changes: measured values for [run].
     """
-    sentence = FINDINGS.get((step, cause)) or FINDINGS["", cause]
-    return sentence(figures, changes)
+    make_sentence = FINDINGS.get((step, cause)) or FINDINGS["", cause]
+    return make_sentence(figures, changes)

@@ -75,7 +75,9 @@ _SENTENCES = ("statement", "status", "title")
 
 
 def listing(result: Any) -> Iterator[Line]:
-    """Yield entries of a result's document: lines for single values, tables for rows.
+    """Yield the entries of a result's document for the terminal: lines for single values, tables for rows.
+
+    The entries are those in `ENTRIES` for the class of the result, all for a class that is not listed.
 
     Args:
         result: result of a public function.
@@ -90,6 +92,12 @@ def listing(result: Any) -> Iterator[Line]:
 
 
 def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Line]:
+    """Yield the entries of a document as lines and tables, the status last; empty entries are left out.
+
+    Args:
+        document: JSON values by key.
+        units: units of the entries by key.
+    """
     names = {key: _name(key, units) for key in document}
     width = max(map(len, names.values()), default=0)
     for key in sorted(document, key="status".__eq__):
@@ -97,9 +105,9 @@ def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Li
         rows = _rows(value)
         if value is None or value in ("", [], {}):
             continue
-        parts = [part for row in rows for part in row.values()]
+        cells = [cell for row in rows for cell in row.values()]
         # Tables and long texts have no room in a cell.
-        if any(isinstance(part, Mapping) or (isinstance(part, str) and len(part) > _CELL) for part in parts):
+        if any(isinstance(cell, Mapping) or (isinstance(cell, str) and len(cell) > _CELL) for cell in cells):
             for number, row in enumerate(rows, start=1):
                 yield f"{names[key]} {number}"
                 yield from _lines(row, units)
@@ -115,7 +123,7 @@ def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Li
 
 
 def _name(key: str, units: Mapping[str, str]) -> str:
-    """Return an entry's name with its unit."""
+    """Return an entry's key as a name for people, with its unit."""
     return key.replace("_", " ") + (f" ({units[key]})" if key in units else "")
 
 
@@ -127,23 +135,38 @@ def _rows(value: Any) -> list[Mapping[str, Any]]:
 
 
 def _sentences(value: Any) -> list[str]:
-    """Return the sentences of a list, or of a mapping with a name for each; none for other values."""
+    """Return the texts of a list or mapping as lines, if at least one is a sentence; none for other values.
+
+    A mapping gives each line the name of its text. A text with a blank counts as a sentence.
+    """
     texts = list(value.values()) if isinstance(value, Mapping) else value
     is_prose = isinstance(texts, list) and all(isinstance(text, str) for text in texts)
     if not (is_prose and any(" " in text for text in texts)):
         return []
-    begins = [f"{name}: " for name in value] if isinstance(value, Mapping) else [""] * len(texts)
-    return [f"{begin}{_text(text, 0)}" for begin, text in zip(begins, texts, strict=True)]
+    prefixes = [f"{name}: " for name in value] if isinstance(value, Mapping) else [""] * len(texts)
+    return [f"{prefix}{_text(text, 0)}" for prefix, text in zip(prefixes, texts, strict=True)]
 
 
 def _table(title: str, rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> TextTable:
+    """Return a table of rows, without columns that are empty in all rows.
+
+    Args:
+        title: title of the table.
+        rows: values by key; the first row has all keys.
+        units: units of the columns by key.
+    """
     columns = [key for key in rows[0] if any(row.get(key) not in (None, [], "") for row in rows)]
     texts = [[_text(row.get(key), 10) for key in columns] for row in rows]
     return TextTable(title, [_name(key, units) for key in columns], texts)
 
 
 def _text(value: Any, digits: int) -> str:
-    """Return a value as text; a pair of numbers within a list is a complex number."""
+    """Return a value as text for people; a pair of numbers within a list is a complex number.
+
+    Args:
+        value: JSON value.
+        digits: number of significant digits.
+    """
     if value is None or isinstance(value, bool):
         return {None: "", True: "yes", False: "no"}[value]
     if isinstance(value, float):
@@ -157,11 +180,12 @@ def _text(value: Any, digits: int) -> str:
 
 
 def _is_pair(value: Any) -> bool:
+    """Return True for a list of two floats, as complex numbers are written in documents."""
     return isinstance(value, list) and len(value) == 2 and all(isinstance(part, float) for part in value)
 
 
 def _complex(parts: Sequence[float], digits: int) -> str:
-    """Return a complex number as text, without a part that is rounding."""
+    """Return a complex number as text; a part that is only a rounding error of the other is left out."""
     real, imaginary = (0.0 if abs(part) < 1e-12 * max(map(abs, parts)) else part for part in parts)
     if not imaginary:
         return f"{real:.{digits}g}"

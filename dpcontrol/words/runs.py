@@ -90,39 +90,48 @@ _LEAST_LOST = 5.0
 
 
 def told(cause: str, figures: Mapping[str, Any]) -> str:
-    """Return the sentence of a cause.
+    """Return the sentence of a cause with its numbers, and with the additions that these numbers call for.
 
     Args:
         cause: value of a `Cause` or a `Fault`.
         figures: its numbers and names.
     """
-    added = (text for name, text in ADDITIONS.items() if name in figures)
-    return "".join([SENTENCES.get(cause, ""), *added]).format_map({**figures, **_phrases(figures)})
+    additions = (text for name, text in ADDITIONS.items() if name in figures)
+    return "".join([SENTENCES.get(cause, ""), *additions]).format_map({**figures, **_phrases(figures)})
 
 
 def _phrases(figures: Mapping[str, Any]) -> dict[str, str]:
-    """Return the parts of sentences that depend on several numbers or have two forms."""
+    """Return the parts of sentences that depend on several numbers or have two forms, by their names in `SENTENCES`.
+
+    Args:
+        figures: numbers and names of a cause; missing ones leave their phrases unused.
+    """
     symbols, symbol = figures.get("symbols", 0), figures.get("symbol", 0)
-    again, velocity, sensor = (figures.get(name, 0) for name in ("again", "velocity", "sensor"))
-    named = f"{figures.get('motion', '')} {symbol} of {symbols} ({figures.get('name', '')!r})"
-    attempt = f"{named if symbol else 'the last stop'}, attempt {figures.get('attempt', 0)}"
-    repeated = f"{named} is repeated" if symbol else "the run returns to the last stop"
+    is_repeated, velocity, sensor = (figures.get(name, 0) for name in ("again", "velocity", "sensor"))
+    symbol_text = f"{figures.get('motion', '')} {symbol} of {symbols} ({figures.get('name', '')!r})"
+    attempt = f"{symbol_text if symbol else 'the last stop'}, attempt {figures.get('attempt', 0)}"
+    repeated = f"{symbol_text} is repeated" if symbol else "the run returns to the last stop"
     return {
         "speed": f" with {velocity:.2f} m/s" if math.isfinite(velocity) else "",
         "defect": _defect(figures.get("mean_nis", 0.0), figures.get("apart", 0.0)),
         "sensor_name": f"the encoder of joint {sensor}" if sensor else "the cart's scale",
-        "symbol_name": named,
+        "symbol_name": symbol_text,
         "progress": f"repetition {figures['lap']}" if "lap" in figures else attempt,
         "goal": f"stop {figures['stop']} ({figures['stop_name']})" if figures.get("stop") else "rest",
-        "last_symbol": f"after {named}" if symbols else "to be kept",
-        "next_motion": repeated if again else "the itinerary restarts",
+        "last_symbol": f"after {symbol_text}" if symbols else "to be kept",
+        "next_motion": repeated if is_repeated else "the itinerary restarts",
         "falls_counted": f"{(falls := figures.get('falls', 0))} fall{'s' * (falls != 1)}",
         "done": _done(figures) if "lowest" in figures else "",
     }
 
 
 def _defect(nis: float, apart: float) -> str:
-    """Return the defect of an estimate."""
+    """Return the defect of a lost estimate in words.
+
+    Args:
+        nis: mean NIS of the last updates, for each measured position.
+        apart: distance between the estimated and the measured angles, rad.
+    """
     if not math.isfinite(nis + apart):
         return "it is no longer finite"
     if apart > _ASTRAY:
@@ -133,7 +142,7 @@ def _defect(nis: float, apart: float) -> str:
 
 
 def counted(done: int, total: int, transfers: tuple[int, int]) -> str:
-    """Return the completed symbols and transfers, counted apart.
+    """Return the numbers of completed symbols and of transfers as text, such as "2 of 3 symbols and 1 of 1 transfers".
 
     Args:
         done: number of completed motions between stops.
@@ -145,18 +154,23 @@ def counted(done: int, total: int, transfers: tuple[int, int]) -> str:
 
 
 def _done(figures: Mapping[str, Any]) -> str:
+    """Return the sentence on a completed run: symbols and transfers, wraps, and its end.
+
+    Args:
+        figures: numbers and names of `Fault.NONE`.
+    """
     total, saddle = figures["motions"], figures["saddle"]
     if not total and figures["stay"]:
         return f"stayed {'at' if figures['stay'] == 'hold' else 'on the orbit about'} {saddle}"
     transfers = figures["transfers"]
     rows = [(count, noun) for count, noun in ((total - transfers, "symbol"), (transfers, "transfer")) if count]
-    all_of_them = f"all {total} {rows[0][1]}s done in order"
+    motions_text = f"all {total} {rows[0][1]}s done in order"
     if total == 1 or len(rows) > 1:
         nouns = " and ".join(f"the {noun}" if count == 1 else f"all {count} {noun}s" for count, noun in rows)
-        all_of_them = f"{nouns} done" + " in order" * (total > 1)
-    asked = f", wraps {figures['wraps']} as asked" if figures["wraps"] else ""
-    held = f"held at {saddle}" if figures.get("still") else "on the last orbit"
-    return f"{all_of_them}{asked}, and {'at rest' if figures['lowest'] else held}"
+        motions_text = f"{nouns} done" + " in order" * (total > 1)
+    wraps_text = f", wraps {figures['wraps']} as asked" if figures["wraps"] else ""
+    stay_text = f"held at {saddle}" if figures.get("still") else "on the last orbit"
+    return f"{motions_text}{wraps_text}, and {'at rest' if figures['lowest'] else stay_text}"
 
 
 _TOLD = {
@@ -177,23 +191,23 @@ _SIMULATED = {
 
 
 def conditions(settings: Sequence[Mapping[str, Any]], *, simulated: bool) -> str:
-    """Return the conditions that runs share, for the head of a page.
+    """Return the conditions that all of some runs share (rate, delay, mismatch …), for the head of a page.
 
     Args:
         settings: settings of each run as JSON values.
         simulated: True for runs on a simulated bench.
     """
-    shared = []
+    shared_conditions = []
     for path, (text, factor) in {**(_SIMULATED if simulated else {}), **_TOLD}.items():
-        first, *rest = (_at(setting, path) for setting in settings)
-        if all(value == first for value in rest):
-            values = first if isinstance(first, list) else [first]
-            shared.append(text.format(" and ".join(f"{factor * value:,.6g}" for value in values)))
-    return ", ".join(shared)
+        first_value, *other_values = (_at(setting, path) for setting in settings)
+        if all(value == first_value for value in other_values):
+            values = first_value if isinstance(first_value, list) else [first_value]
+            shared_conditions.append(text.format(" and ".join(f"{factor * value:,.6g}" for value in values)))
+    return ", ".join(shared_conditions)
 
 
 def conditions_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the conditions of a run, for the head of its page.
+    """Return the model, the conditions and the program of a run, for the head of its page.
 
     Args:
         metadata: metadata of its log; none of a recording or a reference.
@@ -206,25 +220,25 @@ def conditions_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _at(settings: Mapping[str, Any], path: str) -> Any:
-    """Return the value at a dotted path."""
+    """Return the value of a setting at its path, which has at most one dot."""
     table, _, key = path.rpartition(".")
     return settings[table][key] if table else settings[key]
 
 
 def verdict(fault: str, figures: Mapping[str, Any], end: str) -> str:
-    """Return the reason why a run is completed or not.
+    """Return the sentence of a verdict: the fault, or the completed symbols, and the end of the run.
 
     Args:
         fault: value of a `Fault`.
         figures: its numbers and names.
         end: sentence of the event that ended the run early or let it fall back, or "".
     """
-    joint = ": " if "short" in figures else "; "
-    return told(fault, figures) + (f"{joint}{end}" if end else "")
+    separator = ": " if "short" in figures else "; "
+    return told(fault, figures) + (f"{separator}{end}" if end else "")
 
 
 def reason(text: str, *, judged_by: str, whole: bool, recovered: str) -> str:
-    """Return the reason of a score.
+    """Return the reason of a score, qualified if the log is not whole or the truth is not known.
 
     Args:
         text: reason of the verdict.
@@ -240,7 +254,7 @@ def reason(text: str, *, judged_by: str, whole: bool, recovered: str) -> str:
 
 
 def lost(losses: str) -> str:
-    """Return the note on a recovered log.
+    """Return the note on the messages that a recovered log lacks.
 
     Args:
         losses: the losses in words.
@@ -274,8 +288,8 @@ def score_lines(verdict: Any, *, why: Any = None) -> Iterator[str]:
     elif verdict.completed is False:
         yield f"{_WHY}`dpcontrol score LOG --why` searches for options that complete a simulated run of built-in parts"
     if verdict.thinking is not None:
-        median, most = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99
-        yield f"  thinking {median:.3g} µs a tick in the median, 99 % within {most:.3g} µs"
+        median, within_99 = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99
+        yield f"  thinking {median:.3g} µs a tick in the median, 99 % within {within_99:.3g} µs"
 
 
 def run_lines(run: Any) -> Iterator[str]:
@@ -329,7 +343,7 @@ def bench_lines(bench: Any) -> Iterator[str]:
 
 
 def kibibytes(count: float | None) -> str:
-    """Return a readable number of bytes.
+    """Return an amount of memory as text in KiB.
 
     Args:
         count: number of bytes, None if unknown.
@@ -338,7 +352,7 @@ def kibibytes(count: float | None) -> str:
 
 
 def scores_lines(result: Any) -> Iterator[Line]:
-    """Yield the lines of each score or long run.
+    """Yield the lines of the score of each log, or of each long run.
 
     Args:
         result: a `Scores`.

@@ -1,4 +1,7 @@
-"""Sentences on orbits, tubes, connections and walks."""
+"""Sentences on orbits, tubes, connections and walks.
+
+`r` is the result that is put into words: of a search, or of a part of it, with the numbers that belong to its cause.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -41,51 +44,71 @@ class Concluded:
 
 
 def _failed(why: str) -> Callable[[Any], str]:
+    """Return a function for `SENTENCES` that makes the sentence on a search which did not converge.
+
+    Args:
+        why: reason in words, with the remedy.
+    """
     return lambda r: f"not converged: gap {r.residual:.1e} after {r.iterations} iterations ({why})"
 
 
 def _joule(r: Any, energy: float, digits: int = 6) -> str:
+    """Return an energy as text with `digits` significant digits; J follows if the result's system has SI units."""
     return f"{energy:.{digits}g}{r.system.unit('J')}"
 
 
 def _second(r: Any, time: float) -> str:
+    """Return a duration as text; s follows if the result's system has SI units."""
     return f"{time:.3g}{r.system.unit('s')}"
 
 
 def _joined(*clauses: tuple[object, str]) -> str:
+    """Return a sentence of the clauses whose conditions hold, separated by semicolons."""
     return "; ".join(text for holds, text in clauses if holds)
 
 
 def _missed(r: Any, text: str) -> str:
+    """Return the sentence on a flight that misses its target, with the remedy, if a larger limit was found to help.
+
+    Args:
+        r: search for the flight; its `remedy` is a pair of the limit's name and the value that suffices.
+        text: how the best flight misses.
+    """
     if r.remedy:
         return f"{text}; with a limit of {r.remedy[1]:g} on the {r.remedy[0]} one is found"
     return f"{text}; neither a track nor an acceleration of twice the size helps; give another target"
 
 
 def _cut(r: Any, *clauses: str) -> str:
-    spent = f"partial: the cut reached its limit of {r.seconds:g} s of processor time: allow more seconds"
-    return _joined(*((True, clause) for clause in clauses), (r.spent and math.isfinite(r.seconds), spent))
+    """Return the sentence on a cut of a tube: its clauses, and a note if the refinement used up its processor time."""
+    out_of_time = f"partial: the cut reached its limit of {r.seconds:g} s of processor time: allow more seconds"
+    return _joined(*((True, clause) for clause in clauses), (r.spent and math.isfinite(r.seconds), out_of_time))
 
 
 def _tubes(r: Any) -> str:
+    """Return the outcomes of both cuts of a search for connections, those of the unstable and of the stable tube."""
     return f"unstable tube {r.cuts[0].status}; stable tube {r.cuts[1].status}"
 
 
 def _searched(r: Any) -> str:
+    """Return the sentence on a search for connections by the tubes of two orbits.
+
+    It states the number of connections, and each reason for which there may be more, with its remedy.
+    """
     remedy = "try another energy" if r.settings.thorough else "search thoroughly"
-    elsewhere = "" if r.settings.thorough else ", or at another energy"
+    or_other_energy = "" if r.settings.thorough else ", or at another energy"
     ends = [end for cut in r.cuts for end in cut.open_ends]
-    jumping, later = any(end.hides and not end.later for end in ends), any(end.later for end in ends)
-    # "at least 0" says nothing.
-    least = "at least " if r.connections and not r.complete else ""
+    may_hide_some, may_arrive_later = any(end.hides and not end.later for end in ends), any(end.later for end in ends)
+    # "at least 0" would be empty.
+    at_least = "at least " if r.connections and not r.complete else ""
     ending = "" if r.connections or r.complete else " found"
     return _joined(
-        (True, f"{least}{counted(len(r.connections), 'connection')}{ending}: {_tubes(r)}"),
+        (True, f"{at_least}{counted(len(r.connections), 'connection')}{ending}: {_tubes(r)}"),
         (
             not r.even,
             "closed cuts cross more often in one direction than in the other, so crossings were missed: " + remedy,
         ),
-        (r.failed, f"{r.failed} crossings of the cuts did not converge: {remedy}{elsewhere}"),
+        (r.failed, f"{r.failed} crossings of the cuts did not converge: {remedy}{or_other_energy}"),
         (
             r.partial,
             f"partial: the search reached its limit of {r.seconds:.3g} s of processor time"
@@ -97,24 +120,28 @@ def _searched(r: Any) -> str:
             f"the tubes are tangent to rounding at {r.tangent}, each of which may be several near a bifurcation",
         ),
         (
-            jumping,
+            may_hide_some,
             f"the cuts are open (see open_cuts) and may hide connections{'' if r.partial else f': {remedy}'}",
         ),
         (
-            later,
+            may_arrive_later,
             f"longer flights {'may exist' if r.settings.cut.longest is None else 'exist'} beyond --longest (longest in "
             "Python) and may include connections"
             # Longer tubes scatter even more.
             + (f": raise it above {r.cuts[0].longest:g} periods of the orbit" * all(cut.resolved for cut in r.cuts)),
         ),
         (
-            not (later or jumping) and any(end.cause is not OpenEndCause.ESCAPES for end in ends),
+            not (may_arrive_later or may_hide_some) and any(end.cause is not OpenEndCause.ESCAPES for end in ends),
             "the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits",
         ),
     )
 
 
 def _on_laps(r: Any) -> str:
+    """Return the sentence on a search in which the tube of one orbit crosses the section on every lap of the orbit.
+
+    Only some of these crossings are searched, so the number of connections is no total.
+    """
     cut, orbit = next((cut, orbit) for cut, orbit in zip(r.cuts, (r.source, r.target), strict=True) if orbit.laps)
     if not r.connections:
         crossings = f"none at crossings {r.first} to {cut.hit} of {cut.section.name}"
@@ -132,6 +159,11 @@ def _on_laps(r: Any) -> str:
 
 
 def _on_grid(beyond: Callable[[Any], str]) -> Callable[[Any], str]:
+    """Return a function for `SENTENCES` that makes the sentence on a search over a range of energies.
+
+    Args:
+        beyond: function of the search that returns the reason for its end before the highest energy, or "".
+    """
     return lambda r: _joined(
         (
             True,
@@ -146,13 +178,21 @@ def _on_grid(beyond: Callable[[Any], str]) -> Callable[[Any], str]:
 
 
 def family_sentence(r: Any) -> str:
-    """Return the range and the end of a family of orbits."""
+    """Return the sentence on a family of Lyapunov orbits: its number of orbits, their energies, and its end.
+
+    Args:
+        r: a `LyapunovFamily`.
+    """
     ends = f"{r.members[0].energy:.9g} to {r.members[-1].energy:.9g}{r.ends[1].system.unit('J')}"
     return f"{len(r.members)} orbits from {ends}; {r.ends[1].status}"
 
 
 def rotating_family_sentence(r: Any) -> str:
-    """Return the range and the changes of a family of rotating orbits."""
+    """Return the sentence on a family of rotating orbits: number, energies, changes of stability, folds.
+
+    Args:
+        r: a `RotatingFamily`.
+    """
     return _joined(
         (
             True,
@@ -164,7 +204,11 @@ def rotating_family_sentence(r: Any) -> str:
 
 
 def caveat_sentence(r: Any) -> str:
-    """Return why a search at one energy is not complete, or ""."""
+    """Return the reason for which the count of connections at one energy may be too small, or "" if it is complete.
+
+    Args:
+        r: search at one energy of a search for bifurcations.
+    """
     if r.unresolved:
         return f"{r.unresolved[-1].hit}. crossing: {r.unresolved[-1].status}"
     if r.failed:
@@ -175,54 +219,64 @@ def caveat_sentence(r: Any) -> str:
 
 
 def _followed(gap: Any, k: int) -> str:
+    """Return the value of the parameter that a search for bifurcations varies, at end `k` (0 or 1) of a gap."""
     return f"{gap.course.quantity} = {gap.values[k]:.9g}{gap.course.unit}"
 
 
 def bifurcations_sentence(r: Any) -> str:
-    """Return the outcome of a search for bifurcations."""
+    """Return the sentence on a search for bifurcations: located events, unexplained changes, incomplete counts.
+
+    Args:
+        r: a `BifurcationSearch`.
+    """
     count, unit = counted(len(r.events), "event"), r.course.unit
-    shown = [(*change.values, change.reason) for change in r.unexplained[:5]]
-    gaps = "; ".join(f"{low:.6g} to {high:.6g}{unit}, {reason}" for low, high, reason in shown)
-    single = [c for c in r.counts if not c.complete and (r.scatters_from is None or c.value < r.scatters_from)]
-    single_at = "; ".join(f"at {c.value:.6g}{unit} {c.caveat}" for c in single[:3])
-    begin = f"{r.counts[0].value:.6g}{unit}, just above the higher saddle's energy of {r.born or 0:.6g}{unit}"
+    unexplained = [(*change.values, change.reason) for change in r.unexplained[:5]]
+    gaps = "; ".join(f"{low:.6g} to {high:.6g}{unit}, {reason}" for low, high, reason in unexplained)
+    incomplete = [c for c in r.counts if not c.complete and (r.scatters_from is None or c.value < r.scatters_from)]
+    caveats = "; ".join(f"at {c.value:.6g}{unit} {c.caveat}" for c in incomplete[:3])
+    start = f"{r.counts[0].value:.6g}{unit}, just above the higher saddle's energy of {r.born or 0:.6g}{unit}"
     return _joined(
         (not gaps, f"{count}; every change of the count over {len(r.counts)} {r.course.plural} is explained"),
         (
             gaps,
             f"{count} located, but not the cause of {counted(len(r.unexplained), 'change')} of the count: {gaps}",
         ),
-        (r.born is not None, f"swept from {begin}: {counted(r.counts[0].count, 'connection')} there"),
+        (r.born is not None, f"swept from {start}: {counted(r.counts[0].count, 'connection')} there"),
         (
             r.scatters_from is not None,
             f"above {r.scatters_from or 0:.6g}{unit} counts are lower bounds (at least), of connections found and "
             f"followed: {r.counts[-1].caveat}",
         ),
         (
-            single,
-            f"{len(single)} searches{'' if r.scatters_from is None else ' below'} are not complete: {single_at}",
+            incomplete,
+            f"{len(incomplete)} searches{'' if r.scatters_from is None else ' below'} are not complete: {caveats}",
         ),
     )
 
 
 def _passed(use: Any) -> str:
+    """Return the clause on a limit of the cart that a motion passes, with the largest value and its time."""
     return f"cart {use.name} of {use.largest:.4g} {use.unit} where {use.bound:.4g} is allowed (at t = {use.time:.2f} s)"
 
 
 def _mesh(r: Any) -> str:
+    """Return the clause on the accuracy of a reference: its error between the nodes of the mesh."""
     return f"error between nodes {r.error:.1e} on {r.intervals} intervals"
 
 
 def _longer(r: Any) -> str:
+    """Return the advice to stay on the last orbit for one more wrap."""
     return f"raise lead_out to {r.content.lead_out + 1}"
 
 
 def _symbol(r: Any) -> str:
+    """Return the number and the text of the symbol at which a reference falls short."""
     symbols = r.content.symbols
     return f"symbol {r.stop} of {len(symbols)} ({symbols[r.stop - 1].text!r})"
 
 
 def _far(r: Any) -> str:
+    """Return the clause on the smallest distance, rad, between a motion and the orbit of a stop."""
     return f"no nearer than {r.gap:.2f} rad to the orbit about {r.content.stops[r.stop].saddle}"
 
 
