@@ -276,7 +276,7 @@ class FilterEquations:
         }  # fmt: skip
 
     def noise_inputs(self, covariance: ca.SX, change: ca.SX | float = 0.0, nis: ca.SX | float = 1.0) -> ca.SX:
-        """Return the inputs (3,) of Q other than the state, see `predicted`.
+        """Return the numbers (3,), other than the state, on which the process noise Q depends, see `predicted`.
 
         Args:
             covariance: covariance (N+E, N+E), from which the mean variance of the parameters' logarithms follows (0 if
@@ -399,6 +399,7 @@ class FilterEquations:
         total, slopes, pushed = ca.SX.zeros(size), ca.SX(size, size + extras), ca.SX(size, 1)
         for weight, next_length in ((1, step / 2), (2, step / 2), (2, step), (1, None)):
             absolute = moved if origin is None else moved + origin[:size]
+            # Stages of the classical Runge-Kutta method, with the Jacobian of each one.
             k, by_x, by_e, by_command = self._slopes(absolute, e, command, parameters)
             pushed += weight / 6 * by_command
             k_slope = by_x @ spread + ca.horzcat(ca.SX(size, size), by_e)
@@ -591,7 +592,7 @@ class KalmanFilter(Estimator):
         self.kind, self.extra_names = settings.kind, self.equations.extra_names
 
     def first(self, state: Array) -> Estimate:
-        """Return the estimate before any measurement.
+        """Return the estimate before any measurement, with extras of zero.
 
         Args:
             state: initial state (N,), to which the settings give the standard deviations.

@@ -183,7 +183,7 @@ def _tables(equations: TickEquations, schedule: GainSchedule, *, single: bool) -
     """Return the tables of a schedule without lead: which columns change from tick to tick, and their polynomials.
 
     A column's accuracy follows from the command's error by a unit of the column: gains by a deviation of the state,
-    states by the largest gain.
+    states by the largest gain. `single`: True for single precision.
     """
     n, states = equations.filter.arms, equations.row.slices.state
     rows = schedule.rows[:, :-n]
@@ -199,6 +199,7 @@ def _tables(equations: TickEquations, schedule: GainSchedule, *, single: bool) -
         extra_gains=_DEVIATION,
         pair_gains=_DEVIATION**2,
     )
+    # All rows after the last one that differs are equal, so the tables end with the first of them.
     differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
     moving = rows[: differing[-1] + 2 if len(differing) else 1, columns]
     names = [f"{name} {k + 1}" for name in equations.row.names for k in range(len(getattr(largest, name)))]
@@ -248,7 +249,10 @@ _ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", 
 
 
 def _function(program: TickProgram, equations: TickEquations, tables: _Tables) -> ca.Function:
-    """Return the tick with all constants inserted: `_ARGUMENTS` -> memory and report."""
+    """Return the tick as a function with all constants of the run inserted: `_ARGUMENTS` -> memory and report.
+
+    `tables`: the values that change from tick to tick, which are arguments instead of constants.
+    """
     n, size = equations.filter.arms, equations.filter.equations.dimension
     memory, parts = equations.memory.symbols("memory")
     measured, present = ca.SX.sym("measured", n + 1), ca.SX.sym("present", n + 1)
@@ -672,7 +676,6 @@ def _here() -> tuple[str, str]:
 
 def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
     """Add a file to an archive, with a constant date, so that the same content gives the same bytes."""
-    # The same content gives the same bytes.
     entry = zipfile.ZipInfo(name, _EPOCH)
     entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
     archive.writestr(entry, content)

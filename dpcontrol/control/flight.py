@@ -216,6 +216,7 @@ class FlightPlanner:
         first[:, :arms] -= turns
         start = np.repeat(first, guesses, axis=0).T
         lanes = start.shape[1]
+        # The guesses brake the cart, and differ in their durations.
         begin = np.vstack([start, np.tile(DURATIONS / STEPS, count)])
         gains = np.zeros((STEPS, n + 1, lanes))
         gains[:, n - 2], gains[:, n - 1] = -_BRAKING[0], -_BRAKING[1]
@@ -316,6 +317,7 @@ class FlightPlanner:
         """
         count, scale = len(inputs), self._scale
         step = np.minimum((times / duration * count).astype(int), count - 1)
+        # Each time is one lane, with a step that ends at this time.
         lengths = scale.time * (times - step * (duration / count))
         begin = np.vstack([(self._factors * nodes[step]).T, lengths])
         no_feedback, pushes = np.zeros((1, self._n + 1, len(times))), scale.acceleration * inputs[step]
@@ -399,6 +401,7 @@ class FlightPlanner:
         """
         nodes, _, costs = flown
         totals = costs + target.nearest(nodes[-1, : self._n].T, weights)[0] / 2
+        # J is positive; other values are due to overflow.
         return np.where(np.isfinite(totals) & (totals > 0), totals, np.inf)
 
     def _end_weights(self, stage: Stage, target: Target) -> Array:
@@ -553,7 +556,8 @@ class _FlightStep:
     def forward(self) -> ca.Function:
         """Return the step under feedback: (moving, input, cost) from an input, a nominal state and gains about it.
 
-        The input is limited to the largest one, and `cost` is the step's part of J.
+        The input is limited to the largest one. `moving` (N+1,) is the next state with the step's length, and `cost` is
+        the step's part of J.
         """
         size, z = self.moving.shape[0], self.moving
         input_before_feedback, nominal, gains = ca.SX.sym("away"), ca.SX.sym("nominal", size), ca.SX.sym("gains", size)
@@ -588,6 +592,7 @@ class _FlightStep:
         q_zz = h * self.soft * slopes.T @ slopes + by_state.T @ hessian @ by_state
         q_zz[n - 2, n - 2] += h * _EFFORT * self.terms[3]
         q_uz = pushed @ by_state + ca.horzcat(ca.SX.zeros(1, n), _EFFORT * u)
+        # A negative curvature by the input would lead to a maximum.
         q_uu = h * _EFFORT + ca.fmax(pushed @ by_input, 0) + regularity
         free = -q_u / q_uu
         change = ca.fmax(-largest - u, ca.fmin(largest - u, free))

@@ -74,11 +74,11 @@ class Program:
 
     @property
     def first_state(self) -> Array:
-        """Return the initial state (N,)."""
+        """Return the initial state (N,), with which a run begins."""
         return self.segments[0].controller.first_state
 
     def begin(self) -> "ProgramSession":
-        """Return a new session for one run."""
+        """Return a new session, the state of this law during one run."""
         return ProgramSession(self)
 
 
@@ -124,6 +124,7 @@ class ProgramSession(Session):
         session = self._session
         if not isinstance(session, OgySession | OrbitSession):
             return True
+        # Stays and flights alternate, and each stay but the last has a phase at which it ends.
         orbit_period, previous = session.orbit_period, self._past
         self._past = (session.time + program.period - program.waits[index // 2]) % orbit_period
         # The section is passed when the elapsed time resets; NaN: the next segment may begin at any phase.
@@ -170,6 +171,7 @@ def program(stays: Sequence[Keep], flights: Sequence[Fly], *, period: float, kin
     for stay, flight in zip_longest(stays, flights):
         table, spare = stay.controller.table, 0.0 if flight is None else 0.5
         segments.append(stay)
+        # A stay ends at a phase, so up to half a period before or after its wraps.
         lasts.append(max(round((stay.wraps - spare) * table.period / period), 0))
         total += lasts[-1] + round((2 * spare + SLOWER * stay.wraps) * table.period / period)
         if flight is not None:

@@ -105,7 +105,7 @@ MANY = Lanes(
 
 
 def whole_turns(angles: Array) -> Array:
-    """Return the nearest multiples of 2π, rad.
+    """Return the multiples of 2π nearest to angles, rad, by which angles are compared modulo whole turns.
 
     Args:
         angles: angles of any shape, rad.
@@ -132,7 +132,7 @@ def interpolated(states: Array, place: Any, lanes: Lanes) -> Array:
     Args:
         states: table (K, N).
         place: fractional row, or rows (S,).
-        lanes: `ONE` or `MANY`.
+        lanes: arithmetic for one run, `ONE`, or for S runs, `MANY`.
 
     Returns:
         States (N,) or (S, N).
@@ -352,7 +352,7 @@ class Controller(Protocol):
 
     @property
     def first_state(self) -> Array:
-        """Return the initial state (N,)."""
+        """Return the initial state (N,), with which a run begins."""
         ...
 
     @property

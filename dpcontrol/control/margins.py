@@ -108,7 +108,11 @@ class NominalLoop:
     def lost_at(self, gain: Array, delay: Array, lag: Array) -> Array:
         """Return the times, s, at which half of the runs with changed drives are lost.
 
-        Each drive is tried with several initial errors. The time is infinite if fewer than half are lost.
+        Each drive is tried with several initial errors. The time is infinite if fewer than half are lost. A run is lost
+        if it is stopped, if it leaves the track or the reference, or if the loop shakes the cart. In the last tenth,
+        the motion must be near the reference, but may be early or late.
+
+        The plant's inputs are state, acceleration of the cart and parameters, in columns of the runs.
 
         Args:
             gain: gains (S,).
@@ -151,7 +155,6 @@ class NominalLoop:
             inputs[len(states)] = acting + lag_share * (acceleration - acting)
             acceleration = lag_keeps * acceleration + (1 - lag_keeps) * acting
             states = inputs[: len(states)] = step(inputs, np.empty(states.shape))
-            # In the last tenth, the motion may be early or late by the same time as in the score.
             nearby = (
                 references[k + 1 : k + 2, :n]
                 if k < last_tenth
@@ -172,6 +175,7 @@ class NominalLoop:
                 break
             # Lost runs stay at rest to prevent overflow.
             states = inputs[: len(states)] = np.where(failed, first, states)
+        # The time at which the fourth of eight runs is lost, infinite if fewer are.
         return np.sort(lost[:count].reshape(-1, _STARTS), axis=1)[:, (_STARTS - 1) // 2]
 
 

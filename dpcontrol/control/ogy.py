@@ -189,6 +189,7 @@ def learning(
     spread = np.array([ANGLE_ERROR**2] * (n // 2) + [RATE_ERROR**2] * (n // 2))
     noise = []
     for section_map in maps:
+        # Errors of the estimates at both sections are the noise of the learning filter.
         start_map, end_projection = section_map.matrix[:n, :n], section_map.end.projection[:n, :n]
         # The smallest of them regularises the direction along the orbit, which the section omits.
         noise.append(
@@ -303,10 +304,7 @@ class OgyController(Brief):
 
     @property
     def first_state(self) -> Array:
-        """Return the initial state (N,).
-
-        The orbit at its first section, so that a pulse comes at once.
-        """
+        """Return the initial state (N,): the orbit at its first section, so that a pulse comes at once."""
         return self.states[0]
 
     @cached_property
@@ -315,11 +313,11 @@ class OgyController(Brief):
         return min(self.duration / 2, _EARLY * self.table.period)
 
     def begin(self) -> "OgySession":
-        """Return a new session for one run."""
+        """Return a new session, the state of this law during one run."""
         return OgySession(self)
 
     def begin_many(self, count: int) -> "OgySession":
-        """Return a session for many runs, each with its own clock.
+        """Return a session for many runs in lockstep, each with its own clock.
 
         Args:
             count: number of runs.
@@ -340,7 +338,7 @@ class OgyController(Brief):
         return session
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance from the orbit, modulo turns.
+        """Return the distance of a state from the nearest point of the orbit, see `PhaseTable.distance`.
 
         Args:
             state: state (N,), whose cart is ignored.
@@ -431,9 +429,11 @@ class OgySession(ClockedSession):
         self._pass(tick)
         self._lost, course = None, self.course
         if law.learning is not None and ticks_passed:
+            # The prediction is valid if no tick since the section was left out.
             foreseen = self._step(course.foreseen, self._sent)
             self.course = course = course._replace(foreseen=foreseen, flying=course.flying & (ticks_passed == 1))
         without_turns = states - course.lift
+        # A section counts as crossed within the window about its expected time only.
         near = course.elapsed > law.duration - law.window
         if lanes is MANY or near:
             next_section = (course.section + 1) % len(law.times)
@@ -457,10 +457,10 @@ class OgySession(ClockedSession):
         self.course, self._tick = self.course._replace(elapsed=elapsed), tick
 
     def _where(self, holds: Any, change: Callable[..., _Course], *given: Any) -> None:
-        """Apply a change to this run if `holds`.
+        """Change the course of the runs for which `holds` is True, such as those that cross a section in this tick.
 
-        In lockstep, apply it to the runs for which `holds` is True. `holds` is a bool or (S,), `given` are the
-        arguments of `change` after the course, each with one entry for each run.
+        `holds`: a bool, or (S,) in lockstep. `change`: function of a course and of `given`, which returns the new
+        course. `given`: its further arguments, with one entry for each run in lockstep.
         """
         if self.lanes is ONE:
             if holds:
@@ -509,10 +509,7 @@ class OgySession(ClockedSession):
         return course
 
     def _nearest(self, course: _Course, states: Array) -> tuple[_Course, Any]:
-        """Return the course with its clock at the nearest phase, and the shift, s.
-
-        The argument is a state (N,) or states (S, N).
-        """
+        """Return the course with its clock at the phase nearest to a state (N,) or states (S, N), and its shift, s."""
         law, expected = self._law, (self._law.times[course.section] + course.elapsed) % self.orbit_period
         time, _, lift = law.table.nearest(states)
         times_since = np.mod(time[..., None] - law.times, self.orbit_period)
@@ -521,9 +518,9 @@ class OgySession(ClockedSession):
         return corrected, law.table.shift(time, expected)
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the nearest phase and return a sentence.
+        """Move the orbit's clock to the phase nearest to a state, and return a sentence for the log.
 
-        The next crossing starts a pulse.
+        The loop calls it if the arms have been far from the reference for some time. The next crossing starts a pulse.
 
         Args:
             tick: present tick.

@@ -61,15 +61,15 @@ class PhaseTable(Brief):
 
     @property
     def step(self) -> float:
-        """Return the time between two entries, s."""
+        """Return the time between two entries of the table, s."""
         return self.period / (len(self.states) - 1)
 
     def state(self, time: Any, lanes: Lanes = ONE) -> Array:
-        """Return the states at times, modulo the period.
+        """Return the motion's states at times, interpolated, modulo the period.
 
         Args:
             time: time, s, or times (S,).
-            lanes: `ONE` or `MANY`.
+            lanes: arithmetic for one run, `ONE`, or for S runs, `MANY`.
 
         Returns:
             State (N,), or states (S, N).
@@ -81,12 +81,12 @@ class PhaseTable(Brief):
 
         Args:
             time: time, s, or times (S,), modulo the period.
-            lanes: `ONE` or `MANY`.
+            lanes: arithmetic for one run, `ONE`, or for S runs, `MANY`.
         """
         return self.inputs[lanes.nearest(time % self.period / self.step)]
 
     def shift(self, time: Any, expected: Any) -> Any:
-        """Return the delay of a time, s, within half a period.
+        """Return the time by which a clock is ahead of an expected time, s, at most half a period either way.
 
         Args:
             time: time, s, or times of any shape.
@@ -96,7 +96,10 @@ class PhaseTable(Brief):
         return (time - expected + half) % (2 * half) - half
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance from the orbit, modulo turns.
+        """Return the distance of a state from the motion's nearest point, its largest scaled component.
+
+        Whole turns do not count. By this distance, a program checks that a flight meets an orbit, and a fallback is
+        chosen.
 
         Args:
             state: state (N,), whose cart is ignored.
@@ -125,6 +128,7 @@ class PhaseTable(Brief):
         differences[..., :n] -= whole_turns(differences[..., :n])
         entry = np.argmin(np.square(differences / scale).sum(-1), axis=1)
         rate = self.rates(entry * COARSE)
+        # A table's entry is corrected by the time by which the state is late there.
         lateness = (differences[np.arange(len(pendulum)), entry] * rate / scale**2).sum(1) / np.square(
             rate / scale
         ).sum(1)
@@ -244,11 +248,11 @@ class OrbitController(Brief):
         return self.table.states[0]
 
     def begin(self) -> "OrbitSession":
-        """Return a new session for one run."""
+        """Return a new session, the state of this law during one run."""
         return OrbitSession(self, 0, 0.0, np.zeros(len(self.first_state)))
 
     def begin_many(self, count: int) -> "OrbitSession":
-        """Return a session for many runs, each with its own clock.
+        """Return a session for many runs in lockstep, each with its own clock.
 
         Args:
             count: number of runs.
@@ -268,7 +272,7 @@ class OrbitController(Brief):
         return OrbitSession(self, tick, float(time), turns)
 
     def distance(self, state: Array) -> float:
-        """Return the scaled distance from the orbit, modulo turns.
+        """Return the distance of a state from the nearest point of the orbit, see `PhaseTable.distance`.
 
         Args:
             state: state (N,), whose cart is ignored.
@@ -290,7 +294,7 @@ class OrbitSession(ClockedSession):
             tick: tick of the loop.
             time: time on the orbit's clock, s, or times (S,).
             lift: whole turns (N,) between run and table, rad.
-            lanes: `ONE` or `MANY`.
+            lanes: see `Lanes`.
         """
         self._law, self.lanes = law, lanes
         self._tick, self._time, self._lift = tick, time, lift
@@ -303,7 +307,7 @@ class OrbitSession(ClockedSession):
         return self._time % self.orbit_period
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback, m/s², and the reference.
+        """Return feedforward and feedback, m/s², and the reference, the orbit at the session's clock.
 
         Args:
             tick: the tick in which the command acts.
@@ -325,7 +329,9 @@ class OrbitSession(ClockedSession):
         return law.feedforward[k], lanes.dot(law.gains[k], reference - without_turns), reference + self._lift
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the nearest phase and return a sentence.
+        """Move the orbit's clock to the phase nearest to a state, and return a sentence for the log.
+
+        The loop calls it if the arms have been far from the reference for some time.
 
         Args:
             tick: present tick.

@@ -114,7 +114,7 @@ class SymbolicController(TimedController):
     law: SymbolicLaw = field(kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
-        """Return the reference's schedule of inputs and states with this law in place of gains.
+        """Return the reference's schedule of inputs and states with this law, whose flag is set in each row.
 
         Args:
             lead: number of ticks between the computation of a command and its action.
@@ -133,8 +133,7 @@ def symbolic_controller(law: SymbolicLaw, reference: Reference, model: SampledMo
         model: model of arms and drive from tick to tick.
 
     Raises:
-        InputError: the reference did not converge or belongs to other arms, or the law does not return valid
-            expressions.
+        InputError: the law raises, or does not return valid expressions.
     """
     law.expression(model.dimension, len(model.parameters))
     tracking = tracking_controller(reference, model, FeedforwardSettings())

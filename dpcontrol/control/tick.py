@@ -238,7 +238,7 @@ class TickEquations:
 
     @cached_property
     def memory(self) -> Layout[Memory]:
-        """Values stored from tick to tick.
+        """Layout of the values stored from tick to tick, the memory `m`.
 
             z, covariance: prediction for the coming reading, and the covariance's lower triangle row by row.
 
@@ -295,7 +295,7 @@ class TickEquations:
 
     @cached_property
     def reading(self) -> Layout[Measurement]:
-        """Input from the rig.
+        """Layout of a tick's input from the rig, the reading `r`.
 
         measured (n+1,): angles, rad, and the cart's position, m. present (n+1,): 1 where measured.
 
@@ -310,7 +310,7 @@ class TickEquations:
 
     @cached_property
     def row(self) -> Layout[Row]:
-        """Input from the table.
+        """Layout of a tick's input from the table of the law, the row.
 
         At the tick at which the command acts:
 
@@ -332,7 +332,7 @@ class TickEquations:
 
     @cached_property
     def numbers(self) -> Layout[Numbers]:
-        """Constants of a run.
+        """Layout of a run's constants `c`: bounds that judge the run, and numbers of its model.
 
         bounds. noise: R packed. parameters, process: see `FilterEquations`. fresh (N+E,): variances after a
         restart.
@@ -352,7 +352,7 @@ class TickEquations:
 
     @cached_property
     def sensed(self) -> Layout[Sensed]:
-        """Output of the first part.
+        """Layout of the estimate, the output of a tick's first part.
 
         z, covariance, sigmas (N+E,), nis, used positions, turns, and sound: 1 if all is finite and no angle has
         slipped. relative: in a whole tick, z relative to its origin.
@@ -365,7 +365,7 @@ class TickEquations:
 
     @cached_property
     def report(self) -> Layout[Report]:
-        """Output of a tick.
+        """Layout of a tick's output for loop and log.
 
         state (N,): estimate. sigmas, extra: standard deviations of state and extras, and the extras.
 
@@ -647,7 +647,11 @@ class TickEquations:
         return ca.vertcat(self.memory.joined(after), self.report.joined(report))
 
     def _by_law(self, known: Known) -> _Law:
-        """Return feedforward and feedback before limits, and the memory of a user's law."""
+        """Return feedforward and feedback before limits, m/s², and the memory of a user's law.
+
+        Both are summed from the row's gains, a user's law and `acts.back`; `finite` is 0 if they or the estimate are
+        unsound.
+        """
         row, constants, size = known.row, known.numbers, self.filter.equations.dimension
         sensed, acts = known.sensed, known.acts
         row_feedback, untrusted = self.law(row, acts.ahead, acts.drive, sensed.z[size:], constants.trust)
@@ -660,6 +664,7 @@ class TickEquations:
         """Return the means that `_verdict` compares with bounds: of NIS, of distances from the reference, of silence.
 
         The NIS of a tick is divided by the number of measured positions, so its mean is about 1 for a right model.
+        `predicts`: True if the filter is the compiled one.
         """
         memory, reading, constants, sensed, n, period = (
             *known[:2],
@@ -816,7 +821,10 @@ class TickEquations:
     def _memory(
         self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path, *, predicts: bool
     ) -> Memory:
-        """Return the memory for the next tick: that of the path, with prediction, means, verdict and watches."""
+        """Return the memory for the next tick: that of the path, with prediction, means, verdict and watches.
+
+        The arguments are the results of `_by_law`, `_means`, `_verdict` and `_path`. `predicts`: see `_predicted`.
+        """
         memory, sensed, period = known.memory, known.sensed, self.filter.period
         holds, restarts = ca.eq(verdict.outcome, int(Outcome.HOLD)), ca.eq(verdict.outcome, int(Outcome.RESTART))
         clock_moved = ca.eq(verdict.outcome, int(Outcome.RESYNCHRONISE))
@@ -854,7 +862,8 @@ class TickEquations:
     def _report(self, known: Known, law: _Law, means: _Means, verdict: _Verdict, path: _Path) -> Report:
         """Return the tick's report for loop and log: estimate, command, mode, outcome and checked means.
 
-        Errors of parameters, which z has as logarithms, are relative in the report.
+        The arguments are the results of `_by_law`, `_means`, `_verdict` and `_path`. Errors of parameters, which z has
+        as logarithms, are relative in the report.
         """
         memory, sensed, size, stop = known.memory, known.sensed, self.filter.equations.dimension, verdict.stopped > 0
         newly_cut = ca.logic_and(path.saturated, ca.logic_not(memory.cut))
@@ -1256,7 +1265,7 @@ class TickProgram:
     def look_ahead(self, z: Array) -> tuple[Array, Array]:
         """Return the states (N, lanes) at which commands of this tick act, by prediction over the pending commands.
 
-        `drive` at that time follows.
+        `drive` (lanes,) at that time, m/s², follows.
 
         Args:
             z: estimates (N+E, lanes).

@@ -96,7 +96,7 @@ class ReferenceController(Brief):
 
     @property
     def first_state(self) -> Array:
-        """Return the initial state (N,)."""
+        """Return the initial state (N,), with which a run begins."""
         return self.reference_states[0]
 
     @property
@@ -130,7 +130,7 @@ class TimedController(ReferenceController):
     def _rows(self, lead: int, *more: Array) -> Array:
         """Return the rows (K+1, …) of a schedule whose commands act `lead` ticks later, with further gains (K, …).
 
-        Their columns are those of `TickEquations.row`.
+        Their columns are those of `TickEquations.row`. `more`: tables of gains on the extras and on products of shares.
         """
         last, n = self.ticks, (len(self.first_state) - 2) // 2
         acting_tick = np.minimum(np.arange(last + 1) + lead, last)
@@ -150,11 +150,11 @@ class PhaseController(ReferenceController):
     normals: Array
 
     def begin(self) -> "PhaseSession":
-        """Return a session for one run."""
+        """Return a new session, the state of this law during one run."""
         return PhaseSession(self)
 
     def begin_many(self, count: int) -> "PhaseSession":
-        """Return a session for many runs, each with its own clock.
+        """Return a session for many runs in lockstep, each with its own clock.
 
         Args:
             count: number of runs.
@@ -237,7 +237,9 @@ class PhaseSession(ClockedSession):
         return law.feedforward[j], lanes.dot(law.gains[j], reference - states), reference
 
     def resynchronise(self, tick: int, state: Array) -> str:
-        """Move the clock to the nearest phase and return a sentence.
+        """Move the reference's clock to the phase nearest to a state, and return a sentence for the log.
+
+        The loop calls it if the arms have been far from the reference for some time.
 
         Args:
             tick: present tick.
@@ -564,9 +566,10 @@ def _by_time(model: SampledModel, path: TickedMotion, gains: Array, most: float)
 def regulator_along(
     model: SampledModel, states: Array, commands: Array, settings: QuadraticWeights, *, parameters: Array | None = None
 ) -> tuple[Array, Array, Array]:
-    """Return gains (K, N), matrices (K, N, N) of the closed loop and P (K+1, N, N) along a motion.
+    """Return gains (K, N), closed-loop matrices (K, N, N) and P (K+1, N, N) of feedback along a motion.
 
-    P is that of the cost-to-go eᵀPe, at the end that of the model frozen there.
+    P is that of the cost-to-go eᵀPe, at the end that of the model frozen there. A flight's target is a
+    place of the motion with this cost, and plans are compared by their gains.
 
     Args:
         model: model of arms and drive from tick to tick.
@@ -721,6 +724,9 @@ def adaptive_controller(
 ) -> AdaptiveController:
     """Return the adaptive controller, which uses the estimator's extras, for a reference.
 
+    Its gains on constant errors are those of the shifted reference, and products of the parameters' errors have gains
+    as well; see the module's text.
+
     Args:
         reference: reference to follow.
         model: model of arms and drive from tick to tick.
@@ -728,9 +734,8 @@ def adaptive_controller(
         estimator: settings of the estimator, which must estimate the parameters.
 
     Raises:
-        InputError: the reference did not converge or has another number of states than the model, or the estimator does
-            not estimate the parameters.
-        GoalMissed: the reference's end cannot be stabilised.
+        InputError: the estimator does not estimate the parameters.
+        GoalMissed: the reference's end cannot be stabilised, or the gains are infinite.
     """
     if Augment.PARAMETERS not in estimator.augments:
         raise InputError(

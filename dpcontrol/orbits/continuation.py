@@ -84,6 +84,7 @@ class Newton:
         for _ in range(self.iterations):
             try:
                 residuals, jacobian = equations(unknowns)
+                # The second solution is the slope: the change of the unknowns by the last equation's value.
                 right_sides = np.column_stack([residuals, np.append(np.zeros(len(residuals) - 1), 1.0)])
                 if len(residuals) == len(guess):
                     step, slope = np.linalg.solve(jacobian, right_sides).T
@@ -96,6 +97,7 @@ class Newton:
                 best = Solution(unknowns, residual, slope)
             elif best.residual < self.tolerance:
                 break
+            # With large multipliers, rounding limits the residual, and the small step shows convergence.
             at_rest = residual < self.rounded and np.all(np.abs(step) <= _AT_REST * reach)
             if at_rest or best.residual <= self.enough:
                 break
@@ -203,7 +205,7 @@ class Curve(Brief):
     measure: Callable[[Array], Mapping[str, float]] = lambda unknowns: {}
 
     def point(self, unknowns: Array, heading: Array | None, residual: float) -> CurvePoint:
-        """Return a solution with its tangent, quantity and measures.
+        """Return a solution as a point of the curve, with its tangent, quantity and measures.
 
         Args:
             unknowns: solution (k,).
@@ -274,7 +276,7 @@ class Curve(Brief):
         growth: float = 1.5,
         refused: Callable[[CurvePoint, CurvePoint], bool] = lambda point, following: False,
     ) -> Iterator[tuple[CurvePoint, CurvePoint, float]]:
-        """Yield (point, next point, length) along the curve.
+        """Yield (point, next point, length) along the curve, with steps that adapt to success and failure.
 
         It ends when no step of `smallest` converges.
 
@@ -349,7 +351,7 @@ def stepped(
     longest: float,
     smallest: float,
 ) -> tuple[Place, float]:
-    """Continue a solution from one value of a quantity to another.
+    """Return a solution continued from one value of a quantity to another, by steps that adapt to success and failure.
 
     Args:
         start: solution at the first value.

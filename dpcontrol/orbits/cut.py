@@ -62,7 +62,7 @@ class CutSettings:
     seconds: float = np.inf
 
     def thoroughly(self) -> "CutSettings":
-        """Return settings with fine sampling and refinement of all wide chords."""
+        """Return settings with fine sampling and refinement of all wide chords, for searches that must miss little."""
         return replace(
             self,
             first_phases=_THOROUGH,
@@ -172,7 +172,14 @@ def arrivals(
 
 @dataclass(frozen=True)
 class Sampler(Brief):
-    """Propagation of one branch's seeds to the section."""
+    """Propagation of one branch's seeds to the section, of which a cut's samples are made.
+
+    Attributes:
+        manifold: local manifold whose tube is cut.
+        hit: number of the crossing, from 1.
+        branch: +1 or -1.
+        budget: processor time, unlimited by default.
+    """
 
     manifold: UnstableManifold
     section: Section
@@ -220,7 +227,7 @@ class Sampler(Brief):
         return bool(longer_sampler.fly(_some(phases)).arrived.any())
 
     def departs(self, phases: Array) -> bool:
-        """Return True if all trajectories leave for ever.
+        """Return True if all trajectories leave for ever, so that an open end hides no crossings.
 
         Within the flight time they diverge, or move away at a constant rate.
 
@@ -438,7 +445,10 @@ def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
 
 
 def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[OpenEnd]]:
-    """Return the connected pieces of a branch's cut, and the open ends between them, from refined samples."""
+    """Return the connected pieces of a branch's cut, and the open ends between them, from refined samples.
+
+    `samples`: of one period, in the order of their phases. `sampler`: branch, section and settings of the cut.
+    """
     arrived, connected = samples.arrived, samples.continuous(sampler.chord)
     grazing = sampler.settings.grazing * float(np.abs(samples.rates[arrived]).max(initial=0.0))
     # Stretches are parts of one curve, or of phases that never arrive.
@@ -467,7 +477,10 @@ def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[Op
 
 
 def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Piece:
-    """Return the other branch's piece without integration, by the symmetry S of `UnstableManifold.half_turn`."""
+    """Return the other branch's piece without integration, by the symmetry S of `UnstableManifold.half_turn`.
+
+    `piece`: piece of the manifold's cut by the section.
+    """
     assert manifold.half_turn is not None
     system, centre = manifold.orbit.system, manifold.orbit.centre
     symmetry = manifold.half_turn[0]

@@ -186,6 +186,7 @@ def follow(
         if result.last is not None:
             break
         direction = 1 if following.value > previous.value else -1
+        # The bound behind comes first, at which a family can enter; at the bound ahead it ends.
         for bound in energies[::direction]:
             if (previous.value - bound) * (following.value - bound) < 0 or following.value == bound:
                 place = curve.at(following, bound)
@@ -223,7 +224,9 @@ def nearest_equilibrium(problem: SymmetricShooting, place: CurvePoint) -> tuple[
 
 
 def family_end(points: list[CurvePoint], problem: SymmetricShooting, *, largest: float | None = None) -> FamilyEnd:
-    """Return the end of a family that could not be followed further.
+    """Return the end of a family that could not be followed further, with its cause.
+
+    The cause is found from the equilibrium nearest to the last orbit, and from the energy that the family approaches.
 
     Args:
         points: the last members.
@@ -248,8 +251,8 @@ def family_end(points: list[CurvePoint], problem: SymmetricShooting, *, largest:
 def _extrapolated(points: list[CurvePoint], problem: SymmetricShooting) -> float | None:
     """Return the energy, J, that the last members approach as their period grows without bound, or None.
 
-    It is the energy of an equilibrium if the family ends in that equilibrium's homoclinics. The result is None if the
-    members are too few or their energies do not converge.
+    `points`: the last members in order, of which nine are used. The energy is that of an equilibrium if the family ends
+    in the equilibrium's homoclinics. The result is None if the members are too few or their energies do not converge.
     """
     if len(points) < 9:
         return None
@@ -313,9 +316,7 @@ class Family(Shown, Generic[Member]):
         return self.column("floquet_multipliers")
 
     def frame(self) -> DataFrame:
-        """Return a pandas table, one row per member.
-
-        Energy, period and the largest multiplier's modulus.
+        """Return a pandas table with one row per member: energy, period and the largest multiplier's modulus.
 
         Raises:
             PartMissing: pandas is not installed.
@@ -452,6 +453,7 @@ def floquet_measures(problem: SymmetricShooting, unknowns: Array) -> dict[str, f
     """
     system, state = problem.system, problem.state(unknowns)
     _, monodromy = system.propagator.flow_with_stm(state, problem.period(unknowns))
+    # The complement of flow and energy gradient, on which the multipliers other than one act.
     plane, _ = np.linalg.qr(np.column_stack([system.numeric.rate(state), system.numeric.gradient(state)]))
     reduced_basis = np.linalg.svd(plane.T)[2][2:].T
     reduced = reduced_basis.T @ monodromy @ reduced_basis

@@ -110,7 +110,7 @@ class SymmetricShooting(Brief):
     quarters: int
 
     def state(self, unknowns: Array) -> Array:
-        """Return the initial state (N,) for given unknowns.
+        """Return the orbit's initial state (N,), on the first fixed set, for given unknowns.
 
         Args:
             unknowns: (c, τ) (n + 1,), τ in s.
@@ -269,6 +269,7 @@ def _linear_centre(problem: SymmetricShooting, saddle: str, family: int) -> Line
         )
     # The fixed set of the first reverser contains one phase of each oscillation.
     mode = start @ (start.T @ vectors[:, oscillations[family]])
+    # The phase of the mode is chosen so that its largest entry is real.
     mode = np.real(mode / (mode[np.argmax(np.abs(mode))] / np.abs(mode).max()))
     if system.orientation @ mode < 0:
         mode = -mode
@@ -436,8 +437,8 @@ def _follow(
 ) -> tuple[Array, OrbitOutcome]:
     """Return the unknowns (n + 1,) of a family at an energy, J, and the outcome of their continuation from the saddle.
 
-    The continuation steps in s = √(energy above the saddle), in which the orbits grow in proportion, with cubic
-    prediction. If no step converges, the unknowns are the last ones.
+    `linear`: the family's limit at the saddle. The continuation steps in s = √(energy above the saddle), in which the
+    orbits grow in proportion, with cubic prediction. If no step converges, the unknowns are the last ones.
     """
     sign, goal = linear.sign, float(np.sqrt(abs(energy - linear.energy)))
     largest_step = settings.step * np.sqrt(problem.system.energy_scale)
@@ -469,7 +470,10 @@ def _follow(
 
 
 def _predicted(points: Sequence[_Passed], s: float) -> Array:
-    """Return the unknowns (n + 1,) at s, extrapolated linearly from one member or cubically from two."""
+    """Return the unknowns (n + 1,) at s, extrapolated linearly from one member or cubically from two.
+
+    `points`: the last one or two members.
+    """
     last = points[-1]
     linear = last.unknowns + (s - last.s) * last.slope
     if len(points) == 1:
@@ -496,6 +500,7 @@ def floquet_multipliers(system: System, state: Array, period: float, monodromy: 
         monodromy: matrix (N, N) from this state.
     """
     rate, gradient = system.numeric.rate(state), system.numeric.gradient(state)
+    # The complement of flow and energy gradient, ker ∇H modulo f, on which the other multipliers act.
     plane, _ = np.linalg.qr(np.column_stack([rate, gradient]))
     reduced_basis = np.linalg.svd(plane.T)[2][2:].T
     forward = np.linalg.eigvals(reduced_basis.T @ monodromy @ reduced_basis)

@@ -96,7 +96,7 @@ class UnstableManifold(Brief, Generic[Orbit]):
 
     @property
     def branches_are_mirrored(self) -> bool:
-        """True if the symmetry S exchanges the two branches."""
+        """True if the symmetry S exchanges the two branches, so that one of them determines the other."""
         return self.half_turn is not None and self.half_turn[1] < 0
 
     def frame(self, phases: Array) -> Frame:
@@ -180,10 +180,12 @@ class UnstableManifold(Brief, Generic[Orbit]):
         slopes = frame.state_slopes + distances * (
             frame.vector_slopes / lengths + (exponent - 1) * length_rates * vectors
         )
+        # Newton steps onto the energy surface along its scaled gradient.
         for _ in range(3):
             gradient = numeric.gradient(seeds) * scale
             excess = numeric.hamiltonian(seeds) - self.orbit.energy
             seeds = seeds - (excess / np.sum(gradient**2, axis=1))[:, None] * gradient * scale
+        # The derivative stays in the energy surface as well.
         normal = numeric.gradient(seeds) * scale
         energy_drift = np.sum(normal * slopes / scale, axis=1) / np.sum(normal**2, axis=1)
         return seeds, slopes - energy_drift[:, None] * normal * scale

@@ -304,7 +304,7 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
     """Return guesses (ω, τ), rad/s and s, of rotating orbits, from a scan of the rates of given energy.
 
     The rates form an ellipse over the angle ψ. A guess lies at each sign change of the other arm's final angle, and at
-    each small minimum of its size.
+    each small minimum of its size. `arm`, `sense`: number of the rotating arm, from 1, and direction ±1. `energy`: J.
     """
     system = problem.system
     kinetic = energy - float(system.numeric.hamiltonian(problem.centre))
@@ -369,7 +369,10 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
 def _refined(
     arrivals: list[_Arrival], arrive: Callable[[Array], list[_Arrival]], settings: RotatingSettings
 ) -> list[_Arrival]:
-    """Return the arrivals of the scan with further ones between neighbours whose arrivals jump."""
+    """Return the arrivals of the scan with further ones between neighbours whose arrivals jump.
+
+    `arrivals`: in the order of their angles ψ. `arrive`: function that returns the arrivals of angles (K,).
+    """
 
     def smooth(a: _Arrival, b: _Arrival) -> bool:
         """Return True if the arrival does not jump between two angles of the scan."""

@@ -62,7 +62,7 @@ class Tube(Shown, Documented):
 
     @checked
     def strands(self, count: Count = 40) -> Array:
-        """Return trajectories on the tube, from the orbit to the default section.
+        """Return trajectories on the tube, from the orbit to the default section, for pictures.
 
         Trajectories that do not meet it are followed while they leave the orbit.
 

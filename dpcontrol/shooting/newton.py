@@ -511,6 +511,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
             fault = linear.fault
             accurate = linear.residual <= settings.tolerance
             stalled = 0 if linear.residual < lowest / 2 else stalled + 1
+            # The end: an accurate orbit that no step improves, steps that only change rounding, or the last iteration.
             if (
                 (accurate and (linear.length <= settings.settled or linear.residual > lowest / 4))
                 or (stalled == settings.stalled and linear.length <= settings.certain)
@@ -565,7 +566,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
 
 
 def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
-    """Return the linearised equations at the unknowns, after propagation of all segments with their matrices.
+    """Return the linearised equations at the unknowns `now`, after propagation of all segments with their matrices.
 
     Raises:
         _Lost: the Jacobian is singular.
@@ -676,7 +677,7 @@ class ClosedMultipliers(Brief):
 
 
 def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
-    """Return the unstable and the stable multiplier of a closed orbit as logarithms, since they can exceed all doubles.
+    """Return a closed orbit's unstable and stable multiplier as logarithms, since they can exceed all doubles.
 
     Power iteration runs forward for the unstable direction and backward for the stable one.
 
@@ -756,7 +757,7 @@ def estimate_error(shot: Shot, stops: Sequence[LyapunovOrbit]) -> ErrorEstimate:
 def _stop_distances(shot: Shot, stops: Sequence[LyapunovOrbit]) -> tuple[float, ...]:
     """Return each stop's scaled distance of its periodic orbit from the nearest node, a figure of the error estimate.
 
-    A stop's nodes are those from its mark to the next one.
+    `stops`: the periodic orbits after the marked nodes. A stop's nodes are those from its mark to the next one.
     """
     states, nodes = shot.orbit.states, sorted(shot.guess.markers)
     curves: dict[str, OrbitCurve] = {}

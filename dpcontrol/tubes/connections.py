@@ -244,6 +244,7 @@ def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
             offset = moved_part @ (state - centre)
             offset = (offset - system.nearest_turns(2 * offset) * system.turn_lengths / 2) / system.scale
             rate = moved_part @ system.numeric.rate(state) / system.scale
+            # A Newton step for the time at which the orbit is nearest to the fixed set.
             time -= float(offset @ rate / (rate @ rate))
             if abs(time - middle) > _MIDDLE * orbit.start.manifold.orbit.period:
                 # Farther away, the periodic orbits themselves meet the fixed set.
@@ -765,7 +766,10 @@ def _known(system: System, connection: Connection, connections: list[Connection]
 
 
 def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
-    """Return an intersection's orbit by multiple shooting; after failures, by shooting with shorter segments."""
+    """Return an intersection's orbit by multiple shooting; after failures, by shooting with shorter segments.
+
+    `crossing`: intersection of the cuts. The last orbit may not have converged.
+    """
     orbit = _shot(crossing, settings)
     for shorter in (2, 4):
         if orbit.converged:
@@ -777,7 +781,8 @@ def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOr
 def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
     """Return an intersection's orbit by multiple shooting, with time zero on the section; it may not converge.
 
-    The guess consists of the linear manifolds near both periodic orbits and of the tubes' trajectories to the section.
+    `crossing`: intersection of the cuts. The guess consists of the linear manifolds near both periodic orbits and of
+    the tubes' trajectories to the section.
     """
     ends, times, states = [], [], []
     for side, phase, flight in zip(crossing.sides, crossing.phases, crossing.times, strict=True):
@@ -789,6 +794,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
         # Here time runs from the seed to the section for both tubes.
         sign = -1.0 if side.stable else 1.0
         count = max(2, int(np.ceil(flight / period * settings.segments)))
+        # Shooting starts before the seed, since the linear manifold is more accurate near the periodic orbit.
         periods_before_seed = max(
             settings.lead, float(np.log(manifold.distance / settings.farthest)) / manifold.exponent
         )

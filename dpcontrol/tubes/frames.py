@@ -44,6 +44,7 @@ def directions(system: System, states: Array, stms: Array, *, closed: bool, firs
 
     grows, shrinks = np.empty((count, states.shape[1])), np.empty((count, states.shape[1]))
     passes = 4 if closed else 1
+    # The growing direction follows the flow forward, the shrinking one backward; several rounds let both converge.
     vector = along(0, first / scale)
     for k in range(passes * count - (not closed)):
         grows[k % count] = vector
@@ -110,9 +111,10 @@ def orbit_nodes(orbit: LyapunovOrbit, count: int) -> tuple[Array, Array]:
 def phased_times(
     orbit: ShootingOrbit, marks: Array, stops: Sequence[LyapunovOrbit], radius: float
 ) -> tuple[Array, int, int]:
-    """Return node times (K,) along an orbit between two periodic orbits, which include the marks, and end phases.
+    """Return node times (K,) along an orbit between two periodic orbits, and the periodic orbits' nodes at its ends.
 
-    The ends are in phase with a node of the first and the last periodic orbit, at half the radius from it.
+    A proof encloses the flow from one periodic orbit's node to the other's, with the marks among the times. The ends
+    are in phase with a node of the first and the last periodic orbit, at half the radius from it.
 
     Args:
         orbit: orbit with both ends on local manifolds.

@@ -180,7 +180,7 @@ class ConnectionSettings:
 def search_settings(
     *, longest: float | None = None, thorough: bool = False, seconds: float | None = None
 ) -> ConnectionSettings:
-    """Return the limits and the refinement of a search.
+    """Return the settings of a search for connections, from a user's limits and wish for thoroughness.
 
     Args:
         longest: flight time to the section in periods of the orbit, None for the system's default.
@@ -413,7 +413,10 @@ def intersect_cuts(
 
 
 def _together(many: Sequence[Meeting]) -> list[list[Meeting]]:
-    """Return places or intersections in batches of the same pair of branches, which are solved together, in order."""
+    """Return places or intersections in batches of the same pair of branches, which are solved together, in order.
+
+    `many`: places or intersections, the most important ones first. A batch has at most `_TOGETHER` of them.
+    """
     parts = []
     for start in range(0, len(many), _TOGETHER):
         by_branches: dict[tuple[int, int], list[Meeting]] = {}
@@ -431,6 +434,7 @@ def _pairs(
     """Return the pairs of pieces on two branches that may intersect.
 
     They cross the section in the same direction, and their momenta and coordinates overlap up to the length of a chord.
+    `sides`: branches of the unstable and the stable tube. `cuts`: unstable cuts of both orbits.
     """
     section, margin, pairs = sides[0].section, settings.cut.chord * system.section_scale, []
     first, second = ([piece for piece in cut.pieces if piece.branch == side.branch]
@@ -516,7 +520,7 @@ def _solved(
     """Return the intersections near places of the same sides, and the number of crossings without a solution.
 
     If Newton's method leaves the place, for example next to a fold thinner than a chord, the cuts are sampled more
-    finely. Curves that are closer than the accuracy of their chords may not cross at all.
+    finely. Curves that are closer than the accuracy of their chords may not cross at all. `spent`: see `Spent`.
     """
     sides = places[0].sides
     solutions = _newton(
@@ -645,7 +649,8 @@ def _newton(
 ) -> list[Intersection | None]:
     """Return the intersections to which Newton's method leads from phases `guesses` (K, 2), None for failures.
 
-    A failure leaves the range of phases `reach` (K,) about its guess, does not arrive, or does not converge in time.
+    The two phases are changed until the arrivals of both tubes at the section are the same state. A failure leaves the
+    range of phases `reach` (K,) about its guess, does not arrive, or does not converge in time.
     """
     phases, smallest_gaps = guesses.copy(), np.full(len(guesses), np.inf)
     results: list[Intersection | None] = [None] * len(guesses)
@@ -679,7 +684,7 @@ def _newton(
 def _partners(
     system: System, crossings: list[Intersection], settings: ConnectionSettings, spent: Spent
 ) -> list[Intersection]:
-    """Return further intersections within about one chord of known ones.
+    """Return further intersections within about one chord of known ones, the `crossings`, all of the same sides.
 
     Polylines do not resolve them. Along the direction of least change, the gap is a s + ½ b s² + c s³/6, with a, b, c
     from its derivatives at the known intersection and on both sides. Next to a saddle-node, a second zero is near
@@ -725,7 +730,7 @@ def _partners(
 def _add(
     system: System, solutions: list[Intersection], intersections: list[Intersection], settings: ConnectionSettings
 ) -> None:
-    """Add solutions to `intersections` that differ from all previous ones on the torus."""
+    """Add solutions to the list `intersections` if their states differ from all previous ones, modulo whole turns."""
     states = np.array([intersection.states[0] for intersection in intersections]).reshape(-1, system.dimension)
     for solution in solutions:
         if not (system.scaled_distance(states, solution.states[0]) < settings.same).any():

@@ -376,6 +376,7 @@ class _FamilySearch:
             elif best[2] < self.settings.accept:
                 break
             size = 2 * n * (count - 1)
+            # Columns: energy, phase, duration, and the inner nodes. Rows: gaps at the nodes, and angles at the end.
             matrix = np.zeros((size + n, 3 + size))
             for k in range(count):
                 rows = slice(2 * n * k, 2 * n * k + (2 * n if k < count - 1 else n))
