@@ -59,8 +59,8 @@ from dpcontrol.proofs.symbols import Enclosed, check_symbols, dot
 
 FORMAT = "dpcontrol proof 3"
 _BITS, _ORDER, _BOX_ORDER, _REMAINDER, _WIDE_REMAINDER, _DERIVATIVE_REMAINDER = 140, 18, 7, "1e-18", "1e-13", "1e-5"
-_LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES = Fraction(1, 128), Fraction(1, 2**20), 30_000, 500
-"""Steps in s, and limits on the work that a file can cause."""
+_LONGEST, _SHORTEST, _MOST_STEPS, _MOST_NODES, _PARTS = Fraction(1, 128), Fraction(1, 2**20), 30_000, 500, 4
+"""Steps in s, limits on the work that a file can cause, and parts of a step with boxes of their own."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ class _Flow(ABC):
             box = [r.union(v) + symmetric((r - v) / 8 + number("1e-25")) for r, v in zip(image, x, strict=True)]
         raise NotClosed("a step's box does not close")
 
-    def step(self, thin: Sequence[Any], carried: Any, spread: Any, h: Any) -> tuple[list[Any], Any, list[Any]]:
+    def step(self, thin: Sequence[Any], carried: Any, spread: Any, h: Any) -> tuple[list[Any], Any, list[list[Any]]]:
         """Advance a thin point and the derivative over its box by one step of h (s).
 
         Args:
@@ -226,7 +226,7 @@ class _Flow(ABC):
             h: length of the step, a ball, s.
 
         Returns:
-            The thin point and the derivative after the step, and a box (4,) that encloses all solutions during it.
+            The thin point and the derivative after the step, and boxes (4,) of all solutions during its parts.
 
         Raises:
             NotClosed: the step is too long for its box or its remainders.
@@ -234,22 +234,25 @@ class _Flow(ABC):
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
         step_box = self.rough(box, h * flint.arb(0.5, 0.5))
 
-        def ahead(near: Sequence[Any], order: int, last: Sequence[Any]) -> list[Any]:
-            """Return the sums of Taylor coefficients `near` at h, with remainders of the coefficients `last`."""
+        def ahead(near: Sequence[Any], last: Sequence[Any], time: Any = h) -> list[Any]:
+            """Return the sums of Taylor coefficients `near` at a time, with remainders of the coefficients `last`."""
             return [
-                sum((c[k] * h**k for k in range(order + 1)), r * h ** (order + 1))
-                for c, r in zip(near, last, strict=True)
+                sum((v * time**k for k, v in enumerate(c)), r * time ** len(c)) for c, r in zip(near, last, strict=True)
             ]
 
         state_rest = [c[-1] for c in self.series(step_box, _ORDER + 1, 0)]
         # Coefficient k along a solution equals the coefficient at its state times the derivative.
-        slope_rest = flint.arb_mat(4, 4, [c[-1] for c in self.series(step_box, _BOX_ORDER + 1, 4)[4:]])
-        slope_rest = slope_rest * self.late(self.slopes(step_box)[1], h)
+        box_rest = [c[-1] for c in self.series(step_box, _BOX_ORDER + 1, 4)]
+        slope_rest = flint.arb_mat(4, 4, box_rest[4:]) * self.late(self.slopes(step_box)[1], h)
         remainders = (state_rest, _ORDER, self.remainder), (slope_rest.entries(), _BOX_ORDER, _DERIVATIVE_REMAINDER)
         if not all(abs(r) * h ** (order + 1) < number(limit) for row, order, limit in remainders for r in row):
             raise NotClosed("the remainder of a step is too large")
-        growth = ahead(self.series(box, _BOX_ORDER, 4)[4:], _BOX_ORDER, slope_rest.entries())
-        return ahead(self.series(thin, _ORDER, 0), _ORDER, state_rest), flint.arb_mat(4, 4, growth) * carried, step_box
+        around = self.series(box, _BOX_ORDER, 4)
+        return (
+            ahead(self.series(thin, _ORDER, 0), state_rest),
+            flint.arb_mat(4, 4, ahead(around[4:], slope_rest.entries())) * carried,
+            [ahead(around[:4], box_rest[:4], h * flint.arb(k + 0.5, 0.5) / _PARTS) for k in range(_PARTS)],
+        )
 
     def flight(self, x: Sequence[Any], spread: Any, duration: Fraction) -> tuple[list[Any], Any, list[list[Any]]]:
         """Integrate a thin point and the derivative over its box for a duration, with steps that are short enough.
@@ -272,11 +275,11 @@ class _Flow(ABC):
             if self.pace < _SHORTEST or self.left < 0:
                 raise NotClosed("its flight takes too many or too short steps")
             try:
-                thin, carried, step_box = self.step(thin, carried, spread, number(h))
+                thin, carried, parts = self.step(thin, carried, spread, number(h))
             except NotClosed:
                 self.pace /= 2
                 continue
-            boxes.append(step_box)
+            boxes += parts
             elapsed += h
         return thin, carried, boxes
 
