@@ -182,7 +182,11 @@ class Diagram(Documented):
         return "on the front" if point in self.front else f"{self.off_front(point):.0%} off the front"
 
     def finding(self) -> str:
-        """Return the diagram's result in one sentence: the first default against the fastest other point as precise."""
+        """Return the diagram's result in one sentence: the first default against the fastest other point as precise.
+
+        Without a default, the most precise point of the front is compared. If lines join the points, each method has
+        three, of an empty cache, a filled one and later results, and the result is the range of the first two's ratio.
+        """
         if self.joined:
             times = [point.seconds for point in self.points]
             shares = [empty / filled for empty, filled in zip(times[::3], times[1::3], strict=True)]
@@ -326,8 +330,8 @@ def find_border(
 ) -> Border:
     """Find the border between a value that works and a value that fails by bisection of their ratio.
 
-    Both values are positive, in either order. If the first fails or the second works, one side of the border is
-    missing.
+    Both values are positive, in either order. If `near` fails already, the border has no working side; if `far` works
+    as well, it has no failing side. No value between them is then tried.
 
     Args:
         probe: function of a value, which tries it.
@@ -343,7 +347,7 @@ def find_border(
     working, failing = (max(round(value / unit), 1) * unit if unit else value for value in (near, far))
 
     def works(value: float) -> bool:
-        """Try a value, store the outcome, and return True for success."""
+        """Try a value by `probe`, store the outcome in `trials`, and return True for success."""
         trials[value] = probe(value)
         return trials[value].works
 

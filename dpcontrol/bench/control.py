@@ -125,7 +125,7 @@ def control_chart(quick: bool, progress: Progress) -> ChartPage:
 def measured(
     task: ControlTask, controllers: Controllers, *, seeds: int, default: tuple[str, str] = ("", "")
 ) -> Diagram:
-    """Return the diagram of error against the seconds of a tick.
+    """Return the diagram of the rms error of angles, rad, against the time of a tick, s, of several controllers.
 
     Controllers of which no run succeeds have no point but a reason.
 
@@ -177,7 +177,7 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
     """Return a judge of runs that must hold an orbit: a function of a run, which is True if the run succeeds.
 
-    Each tick of the last period must be within `near` of some phase of the orbit, modulo whole turns.
+    Angles of the last period must be within `near` of some phase of the orbit, modulo whole turns.
 
     Args:
         orbit_angles: angles (M, n) along the orbit, rad.
@@ -186,7 +186,10 @@ def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
     """
 
     def judge(run: BatchRun) -> bool:
-        """Return True for a run that ended regularly and held the orbit in its last period."""
+        """Return True for a run that ended regularly and held the orbit in its last period.
+
+        Every fourth tick is compared with all phases of the orbit.
+        """
         if run.ending is not Ending.FINISHED:
             return False
         n = orbit_angles.shape[1]
@@ -230,7 +233,7 @@ def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -
     position_indices, ticks = ticker.program.model.position_indices, cycle(range(ticker.count))
 
     def step() -> None:
-        """Compute one tick for a reading on the reference."""
+        """Compute the next tick, for a reading on the reference, and begin again after the last one."""
         k = next(ticks)
         if not k:
             ticker.begin()
@@ -286,6 +289,7 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Diagr
     task = ControlTask("An orbit", orbit.reference, orbit.arms, keeps(orbit))
 
     def pulses(k: int, kind: type) -> Callable[[SampledModel], Controller]:
+        """Return the factory of an OGY law with k pulses per period; `kind` is the class of its settings."""
         return lambda m: ogy_controller(orbit, m, kind(sections=k), seconds=seconds)
 
     controllers: Controllers = {
@@ -474,6 +478,9 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
 def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: int) -> Judged:
     """Return an estimator's error over the swings, and its shares of NIS and NEES inside their 95 % bands.
 
+    The error is the rms of the arms' scaled angles and rates, without the first `SETTLED` ticks. NEES is the squared
+    error of states and encoder zeros, normalised by the covariance; every 20th tick counts for it.
+
     Args:
         estimator: filter, which starts at each swing's first measurement.
         swings: swings with known states.
@@ -485,6 +492,7 @@ def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: i
     zeros = [k for k, name in enumerate(estimator.extra_names) if name.startswith("zero_")]
     for known_swing in swings:
         readings = known_swing.measured(counts)
+        # True zero errors of the absolute angles, which add up those of the encoders between successive arms.
         bias = np.cumsum(known_swing.joints[0, :n] - np.diff(known_swing.states[0, :n], prepend=0.0))
         estimate = estimator.update(estimator.first(np.array(_SWING)), readings[0])
         for k in range(1, len(known_swing.commands)):
@@ -503,7 +511,7 @@ def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: i
 
 
 def _nees(estimator: Estimator, estimate: Estimate, truth: Array, bias: Array, zeros: list[int]) -> float:
-    """Return the normalised squared error of an estimate of states and encoder zeros.
+    """Return the squared error of an estimate of states and encoder zeros, normalised by the estimator's covariance.
 
     Args:
         estimator: filter.
@@ -564,7 +572,10 @@ def _rms(errors: list[Array]) -> float:
 
 
 def _scaled(away: Array, n: int) -> Array:
-    """Return the errors (2n,) of the arms' angles and rates, in units of π rad and 10 rad/s."""
+    """Return the errors (2n,) of the arms' angles and rates, in units of `ANGLE_SCALE` rad and `RATE_SCALE` rad/s.
+
+    `away` are the errors of a state, of which those of a cart are left out.
+    """
     return np.concatenate([away[:n] / ANGLE_SCALE, away[n : 2 * n] / RATE_SCALE])
 
 

@@ -96,7 +96,7 @@ def orbit_panel(progress: Progress, *, quick: bool) -> Diagram:
     ]  # fmt: skip
 
     def judge(_: Alternative[LyapunovOrbit], orbit: LyapunovOrbit) -> Judged | str:
-        """Return the largest scaled error of an orbit's state, or the reason for a missing orbit."""
+        """Return the largest scaled error of an orbit's state, or, if its search did not converge, the reason."""
         return Judged(float(np.abs((orbit.state - truth) / system.scale).max())) if orbit.converged else orbit.status
 
     return replace(
@@ -125,6 +125,8 @@ def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
 
 def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]) -> float:
     """Return the largest scaled error of the found states that match the true ones, infinite if one is missing.
+
+    A true state is missing if none found is within 0.01 of it, scaled.
 
     Args:
         orbit: orbit of the connections.
@@ -172,6 +174,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
     ]
 
     def judge(alternative: Alternative[list[Array]], states: list[Array]) -> Judged | str:
+        """Return the error of the worst state, or the number of states if some are missing."""
         # Two flights omit intersections that are images of others.
         required, error = len(truths) if alternative.method == "two flights" else expected, worst(orbit, states, truths)
         return Judged(error) if len(states) >= required and np.isfinite(error) else f"{len(states)} of {required} found"
@@ -211,6 +214,7 @@ def three_body_panel(*, quick: bool) -> Diagram:
         return find_connections(first, second, hits=(2, 2))
 
     def judge(_: Alternative[ConnectionSearch], search: ConnectionSearch) -> Judged:
+        """Return the largest gap between the pieces of a connection, over all connections found."""
         return Judged(
             max(connection.residual for connection in search.connections), note=f"{len(search.connections)} connections"
         )
@@ -320,6 +324,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     settings += [ReferenceSettings(method=name, interval=interval, solver="fatrop") for name, interval in fatrop_cases]
 
     def judge(_: Alternative[Solved], solved: Solved) -> Judged | str:
+        """Return the largest error between nodes, with cost and iterations, or the reason of the solver's failure."""
         if not solved.succeeded:
             return solved.outcome
         measures = {"cost": solved.cost, "iterations": float(solved.iterations)}
@@ -334,7 +339,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
 
 
 def _alternative(problem: ReferenceProblem, s: ReferenceSettings, find: Callable[..., Any]) -> Alternative[Any]:
-    """Return a transcription as an alternative to time.
+    """Return a transcription as an alternative to be timed, with interval, solver and tolerance as its label.
 
     Args:
         problem: problem with a guess.
@@ -374,6 +379,7 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     cases += [] if quick else [replace(defaults, solver="fatrop")]
 
     def judge(_: Alternative[Reference], reference: Reference) -> Judged | str:
+        """Return the largest error between nodes, or, if the search did not converge, the reason."""
         return Judged(reference.max_error_between_nodes) if reference.converged else reference.status
 
     alternatives = [

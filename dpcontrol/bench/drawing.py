@@ -75,6 +75,9 @@ def figure(page: ChartPage, parts: Sequence[Any]) -> Figure:
 def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
     """Draw a diagram or a map into axes, with its result as title.
 
+    A layer is a label, the places (x, y) of its marks or line, and their look; a layer without places is left out. A
+    map has a row for each border, and the values on the horizontal axis.
+
     Args:
         axes: axes of one panel.
         part: the diagram or map.
@@ -157,7 +160,10 @@ def _borders(edge_map: EdgeMap) -> Iterator[Layer]:
 
 
 def _label(panel: Diagram, point: Point) -> str:
-    """Return a point's text: the method at its first point, the setting, in full panels only on the front."""
+    """Return a point's text: the method at its first point, and the setting.
+
+    In panels of more than `MOST_LABELS` points, only defaults and points of the front have their settings.
+    """
     is_crowded = len(panel.points) > MOST_LABELS
     setting = "" if is_crowded and not point.default and point not in panel.front else point.setting
     is_first_of_method = point is next(other for other in panel.points if other.method == point.method)
@@ -266,7 +272,7 @@ def machine() -> dict[str, Any]:
 
 
 def _processor() -> str:
-    """Return the name of the processor, from the system's list if there is one."""
+    """Return the name of the processor from the system's list, or, if there is none, that of Python, maybe ""."""
     cpu_file = Path("/proc/cpuinfo")
     lines = cpu_file.read_text(encoding="utf-8").splitlines() if cpu_file.exists() else []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))

@@ -91,10 +91,12 @@ class LoopCase:
     def driven(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
         """Return the outcome of a trial whose drive deviates from the model, without the loop's knowledge.
 
+        A feedback, rms, above the share `SHAKEN` of the acceleration limit over the gain counts as a failure too.
+
         Args:
-            gain: gain of the drive.
-            delay: additional delay, s.
-            lag: time constant, s.
+            gain: gain of the drive, its acceleration over the command.
+            delay: delay in addition to the one that the loop knows, s.
+            lag: time constant of the drive, s.
         """
         assumed_delay, rate = self.assembly.delay, self.assembly.settings.rate
         drive = replace(self.assembly.settings.drive, response=gain, lag=lag, delay=assumed_delay + delay * rate)
@@ -287,7 +289,7 @@ def pulse_border(orbit: SustainedOrbit, law: OgyController, *, counted: bool, se
     k, (near, far) = len(law.times), (4e8, 50.0) if counted else (5.0, 0.01)
 
     def probe(value: float) -> Attempt:
-        """Return the outcome of a trial at one limit of pulses, or at one number of counts."""
+        """Return the outcome of a trial at one limit of pulses, m/s², or, if `counted`, at counts per turn."""
         law_with_limit = law if counted else replace(law, pulse_limit=value)
         return holds(orbit, law_with_limit, counts=value if counted else COUNTS, seeds=seeds)
 
@@ -354,7 +356,9 @@ def arriving(rate: float, *, missing: float, seconds: float) -> float:
 
 
 def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, seeds: int) -> Border:
-    """Return the least rate of samples, per s, at which half of the runs hold the equilibrium for ten seconds.
+    """Return the border of the rate of samples, per s, from which on half of the runs hold an equilibrium.
+
+    A run lasts `SECONDS` s.
 
     Args:
         arms: arms of plant and model.
@@ -367,7 +371,7 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
     reference = still(controller.state, SECONDS, method=method_named("radau-7"), limits=Limits(), interval=1.0)
 
     def probe(passed: float) -> Attempt:
-        """Return the outcome of runs to which `passed` samples per s arrive."""
+        """Return success if at least half of the runs to which `passed` samples per s arrive are finished."""
         lossy_settings = replace(settings, sensors=SensorSettings(dropout=1 - passed / rate))
         assembly = Assembly(reference, arms, lossy_settings, law=controller)
         runs = [assembly.simulate(draw=assembly.draw(seed=k)) for k in range(seeds)]
@@ -410,12 +414,12 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
     settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=stuck_at, stuck_sensor=1))
 
     def probe(after: float) -> Attempt:
-        """Return the outcome of a run that lasts `after` s beyond the failure of the encoder."""
+        """Return success if a run that lasts `after` s beyond the failure of the encoder is finished."""
         controller = orbit_controller(orbit, model, TvlqrSettings(), seconds=stuck_at + after)
         run = Assembly(orbit.reference, arms, settings, law=controller).simulate()
         return Attempt(run.ending is Ending.FINISHED, "" if run.ending is Ending.FINISHED else run.reason)
 
-    # A lower bound: the delay of the filter's test is added to it.
+    # A lower bound: the delay of the filter's test is added to it. So half of it works, and eight times fails.
     earliest = earliest_report(orbit, stuck_at % orbit.period, sensor=1)
     return find_border(probe, x=phase, line=f"{phase:g}", near=earliest / 2, far=8 * earliest, ratio=1.1, unit=1e-3)
 
@@ -457,7 +461,10 @@ def followed(itinerary: str, law: str, seeds: int) -> LoopCase:
 
 
 def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float) -> Border:
-    """Return the border of a drive's gain, delay or lag at which half the runs are lost, beside the loop's margin.
+    """Return the border of a drive's gain, delay or lag at which half the runs are lost, with the margin as prediction.
+
+    A gain is searched from 1 down or up, delay and lag from well below their margins up. A margin of the gain above
+    `TRIED` is no prediction, since such gains are not tried.
 
     Args:
         name: gain_low, gain_high, delay or lag.

@@ -57,7 +57,7 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Ch
     connection_of_symbol = {text: branch.chosen(walk.energy) for text, branch in branches.items()}
 
     def symbol_at_energy(text: str, energy: float) -> str:
-        """Return the symbol of the walk at another energy, to which its connection has been followed."""
+        """Return a symbol's text at another energy, J, to which its connection is followed, or raise GoalMissed."""
         connection = connection_of_symbol.get(text)
         if connection is None or energy == walk.energy:
             return text

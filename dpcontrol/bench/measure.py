@@ -62,7 +62,7 @@ def timed_in_turns(
 ) -> dict[Key, TimedWork[T]]:
     """Call each function once, then measure all in turns, so that a slow phase of the processor affects each of them.
 
-    Each of `rounds` measures every function for at least `GRAIN` s.
+    A measurement calls the function as often as it takes to last `GRAIN` s. The first one counts as the first round.
 
     Args:
         functions: works by key.
@@ -163,14 +163,17 @@ def compare(
     judgements: dict[int, Judged | str] = {}
 
     def tried(work: Callable[[], T]) -> T | Exception:
-        """Return the result of a work, or the exception by which it failed."""
+        """Return the result of a work, or the exception of an expected kind by which it failed."""
         try:
             return work()
         except (ArithmeticError, RuntimeError, GoalMissed) as failure:
             return failure
 
     def worth(k: int, result: T | Exception) -> bool:
-        """Judge the first result of alternative k, and return True if it is worth timing."""
+        """Judge the first result of alternative k, and return True if it is worth timing.
+
+        The judgement, or the text of a failure, is stored in `judgements`; a text makes the point missing.
+        """
         failed = isinstance(result, Exception)
         judgements[k] = str(result).splitlines()[0][:200] if failed else judge(alternatives[k], result)
         return not isinstance(judgements[k], str)

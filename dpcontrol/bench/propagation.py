@@ -61,12 +61,12 @@ class Stepper:
         self._given[self._step.slices["parameters"]] = parameters.reshape(-1, *([1] * len(shape)))
 
     def fly(self, states: Array, duration: float, *, step: float, command: float = 0.0) -> Array:
-        """Return the states (N,) or (N, S) after a duration.
+        """Return the states (N,) or (N, S) after a duration, which is divided into equal steps.
 
         Args:
             states: states (N,) or (N, S) at the start.
             duration: time, s.
-            step: length of a step, about, s.
+            step: length of a step, s, which is changed so that a whole number of steps fits.
             command: value of all inputs: the cart's acceleration, m/s².
         """
         step_inputs, slices, advance = self._given, self._step.slices, self._step
@@ -207,6 +207,7 @@ def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progre
     """
 
     def judge(_: Alternative[Array], arrived: Array) -> Judged | str:
+        """Return the error of final states (K, N) against the true ones of `work`, or the reason if it is infinite."""
         if not np.isfinite(arrived).all():
             return "its step is too long: the state became infinite"
         return Judged(work.error(arrived))
@@ -215,7 +216,7 @@ def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progre
 
 
 def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Array]]:
-    """Return all methods for a work's states; slow ones propagate fewer of them.
+    """Return all methods for a work's states; slow ones propagate only its first few.
 
     Args:
         work: states with their truth.
@@ -294,7 +295,7 @@ def _casadi(work: Work, states: Array) -> Iterator[Alternative[Array]]:
 
 
 def _by_casadi(flow: ca.Function, x: Array, **inputs: Any) -> Array:
-    """Return the final state (N,) of an integrator of CasADi."""
+    """Return the final state (N,) of an integrator of CasADi from the state `x` (N,), with further inputs by name."""
     return np.array(flow(x0=x, **inputs)["xf"]).ravel()
 
 
@@ -330,6 +331,7 @@ def _by_scipy(
     calls_left = iter(range(MOST_CALLS))
 
     def counted_rate(time: float, state: Array) -> Array:
+        """Return the rate (N,), or raise an `ArithmeticError` after `MOST_CALLS` calls."""
         if next(calls_left, None) is None:
             raise ArithmeticError(f"given up after {MOST_CALLS:,} calls of the rate")
         return rate(time, state)
@@ -395,6 +397,7 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Diagram, Diag
     alternatives = [Alternative(*single, units=LANES) for single in rows]
 
     def judge(_: Alternative[Array], arrived: Array) -> Judged:
+        """Return the largest scaled error of states (K, N) after a tick, against those from 113-bit arithmetic."""
         return Judged(float(np.abs((arrived - truth) / scale).max()))
 
     ticks = compare(alternatives, judge, rounds=9 if quick else 25)

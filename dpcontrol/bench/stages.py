@@ -71,8 +71,9 @@ def stages_chart(quick: bool, progress: Progress) -> ChartPage:
 def _measured(stage: str, programs: int) -> list[Point]:
     """Return the points of a stage: its first result with an empty and a filled cache, and its later results.
 
-    Each program runs in a separate process, and all use one temporary cache. `programs` is the number of those that
-    find a filled cache.
+    Each program runs in a separate process, and all use one temporary cache. The first finds it empty. The second,
+    which is not measured, fills it with optimised code. `programs` is the number of those after it; of their times, the
+    least count.
     """
     call, error = STAGES[stage]
     with tempfile.TemporaryDirectory() as folder:

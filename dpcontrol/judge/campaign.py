@@ -236,9 +236,10 @@ Rows = NDArray[np.bool_]
 
 
 def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list[tuple[Group, Rows]]:
-    """Return the groups of runs with equal values in columns, and the rows (K,) of each group.
+    """Return the groups of runs with equal values in columns, in the order of these, and the rows (K,) of each group.
 
-    `done` (K,) is True for completed runs.
+    `table` has the values (K,) of each column. Rows are True for the runs of the group, and `done` (K,) is True for
+    completed runs. Without columns, all runs are one group.
     """
     keys = [tuple(str(table[name][k]) for name in columns) for k in range(len(done))]
     members_by_key = {key: np.array([other == key for other in keys]) for key in sorted(set(keys))}
@@ -257,7 +258,8 @@ def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | No
 def _levels(values: NDArray[np.float64] | None, groups: list[tuple[Group, Rows]], done: Rows) -> tuple[Group, ...]:
     """Return the share of completed runs of each group at each mismatch or level, for the curve over it.
 
-    More than `_APART` different values are put into `_BINS` bins of equal counts.
+    More than `_APART` different values are put into `_BINS` bins of equal counts. The result is empty if the values do
+    not vary; pairs without runs are left out.
 
     Args:
         values: mismatch or level (K,) of each run, None if the table has none.

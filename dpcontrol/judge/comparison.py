@@ -104,7 +104,8 @@ def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
 def _moment(view: RunView, k: int) -> tuple[float, str]:
     """Return the time at which a run is aligned with others, s, and a phrase on how the time was found.
 
-    It is the crossing of a symbol's section if the run has one, then the plan's time, then the run's start.
+    It is the crossing of the symbol's section if the run has one, otherwise the plan's time of the symbol, otherwise,
+    without such a symbol, the run's start.
 
     Args:
         view: the run.

@@ -105,7 +105,8 @@ def decode_run(time: Array, angles: Array, plan: Reference) -> Decoded:
     """Decode the part of a plan that a run has completed: stops, crossings, wraps, and the tick at which it was lost.
 
     A symbol is a motion between two stops, at which the plan stays on an orbit or equilibrium. Crossings of the
-    symbols' sections relate the plan's times to the run's. A stop counts if the run is on the plan until then.
+    symbols' sections relate the plan's times to the run's. A stop counts if the run is on the plan until half a period
+    after the arrival at its orbit, or until the middle of the stay if that is earlier.
 
     Args:
         time: times (K,), s; the first one is on the plan's clock.
@@ -168,7 +169,8 @@ def _crossings(
 ) -> tuple[float | None, ...]:
     """Return the time at which a motion crosses the section of each symbol, s, to relate its clock to the plan's.
 
-    Without a crossing, it is the due time. A transfer has no section, so its entry is None.
+    Without a crossing, it is the due time, or the crossing before if that is later. A transfer has no section, so its
+    entry is None.
 
     Args:
         time: times (K,), s.
@@ -194,7 +196,7 @@ def crossing(
 ) -> float | None:
     """Return the time at which a motion crosses a symbol's section with the plan's direction and angles, or None, s.
 
-    The time is interpolated between two ticks.
+    The time is interpolated between two ticks. The angles at the crossing must be within `FOLLOWS` rad of the plan's.
 
     Args:
         time: times (K,), s.
@@ -264,7 +266,10 @@ def _lost(angles: Array, clock: Array, plan: Reference) -> int | None:
     planned_rows = np.rint(clock / _GRID).astype(np.intp)
 
     def distances(far_rows: NDArray[np.intp], offset: int) -> Array:
-        """Return the largest angle difference of ticks from the plan, `offset` samples later than due, rad."""
+        """Return the largest angle difference (M,) of ticks `far_rows` (M,) from the plan, rad.
+
+        They are compared with the plan's sample at their time on its clock, and `offset` samples later.
+        """
         return np.asarray(
             np.abs(
                 angles[far_rows] - planned_angles[(planned_rows[far_rows] + offset).clip(0, len(planned_angles) - 1)]
@@ -313,7 +318,8 @@ def _spans(
 def _visit(angles: Array, inside: NDArray[np.intp], stop: PlanStop, content: PlanContent) -> Visit:
     """Return the stay at a stop from the first to the last tick whose nearest saddle is that of the stop.
 
-    Views show these stays. Without such a tick, the stay is the tick closest to the saddle.
+    The distances are those of the angles, to the other saddles modulo whole turns. Views show these stays. Without such
+    a tick, the stay is the tick closest to the saddle.
 
     Args:
         angles: angles (K, n) of the run, rad.
@@ -335,7 +341,8 @@ def _visit(angles: Array, inside: NDArray[np.intp], stop: PlanStop, content: Pla
 def _wraps(crossings: tuple[float | None, ...], due: Sequence[float], content: PlanContent) -> tuple[int | None, ...]:
     """Return the wraps at each interior stop reached: periods on its orbit, from the time between its crossings.
 
-    None stands for stops beside a transfer, and for stops that change the orbit.
+    They are the plan's, and a wrap more or less for each period by which the run takes longer or shorter. None stands
+    for stops beside a transfer, and for stops that change the orbit.
 
     Args:
         crossings: crossing times of the completed symbols, s, None for transfers.
@@ -388,7 +395,7 @@ _DENSER = 8
 
 
 def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
-    """Return the distance by which angles leave a periodic orbit, rad: 0 if they are near enough.
+    """Return the greatest distance of angles from a periodic orbit, rad, or 0 if it is at most `NEAR_LAST_ORBIT`.
 
     Args:
         orbit: angles (M, n) over one period, rad.

@@ -14,7 +14,8 @@ def limit_uses(view: RunView) -> tuple[LimitUse, ...]:
     """Return the use of each limit that the view has, the nearest to its limit first.
 
     Limits are those of the cart, and the distance from the reference beyond which an itinerary counts as lost. After an
-    abort nothing follows the reference any more, so these ticks do not count.
+    abort nothing follows the reference any more, so these ticks do not count. A limit is left out if its quantity has
+    no finite value.
 
     Args:
         view: data of the run.

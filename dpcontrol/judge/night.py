@@ -184,7 +184,10 @@ class Night(Shown, Documented):
 
     @checked
     def course(self, name: str) -> tuple[Array, Array]:
-        """Return hours (K,) and means (K,) of a parameter by file, without a short last file.
+        """Return hours (K,) and means (K,) of a parameter by file, without short files.
+
+        The hour is that of the file's middle, from the start of the night. Estimates of files shorter than `_SHORT` of
+        the longest one do not count.
 
         Args:
             name: estimated parameter, such as "zero_1".
@@ -302,7 +305,9 @@ class Night(Shown, Documented):
 def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[Event]]:
     """Return the spans, falls and early endings of a night, from the events of its digests in order.
 
-    Spans are the times on the itinerary, braking, in flight, and so on. Endings at the planned time are left out.
+    Spans are the times on the itinerary, braking, in flight, between repetitions, after an end, and without a log.
+    Endings at the planned time are left out. Several falls before the itinerary is joined again count one by one, and
+    the first of them has the time back.
 
     Args:
         digests: digests in order.
@@ -313,7 +318,7 @@ def followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], li
     changes = [(end, STOPPED, "")]
 
     def change(time: float, kind: str, cause: str = "") -> None:
-        """Begin a span of another kind at a time, unless the present one is the same."""
+        """Append the begin of a span to `changes`, unless the present span has the same kind and cause."""
         if changes[-1][1:] != (kind, cause):
             changes.append((time, kind, cause))
 
@@ -376,8 +381,11 @@ def read_night(folder: Path) -> Night:
 def _digests(folder: Path) -> Iterator[Digest]:
     """Yield the digests of a night's files in order: figures and events of each log.
 
-    A night is evaluated from them, without reading hours of logs. A digest that is missing or old, as after a killed
-    run, is computed from its log.
+    A night is evaluated from them, without reading hours of logs. A digest that is missing, damaged or made of a log of
+    another size, as after a killed run, is computed from its log.
+
+    Raises:
+        InputError: a digest is damaged and its log missing.
     """
     name = folder.resolve().name
     numbers = sorted({file.stem for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json")})

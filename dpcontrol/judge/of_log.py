@@ -74,6 +74,7 @@ def tubes_of(content: PlanContent, system: System) -> tuple[TubeCurve, ...]:
     if any(symbol.section for symbol in content.symbols) and not installed("heyoka"):
         remark("the tubes along the way are not shown: heyoka is not installed")
         return ()
+    # `branches` makes both branches of an orbit's tube, each tube once; sections are looked up by their name.
     sections = {section.name: section for section in (*system.sections.values(), *system.named_sections.values())}
     branches = cache(lambda index, name, **tube: tuple(_flown(system, content.orbits[index], sections[name], **tube)))
     tubes: dict[tuple[Any, ...], TubeCurve] = {}
@@ -115,6 +116,9 @@ def _lyapunov(system: System, place: PlanOrbit) -> LyapunovOrbit:
 
 def _flown(system: System, place: PlanOrbit, section: Section, *, hit: int, stable: bool) -> Iterator[TubeCurve]:
     """Yield both branches of an orbit's tube up to a section, before they are moved by the whole turns of a stop.
+
+    A branch consists of `STRANDS` trajectories at most, at even phases of the orbit, and of the curve in which the tube
+    meets the section. A branch that does not meet the section is left out.
 
     Args:
         system: conservative pendulum of the plan.
@@ -215,7 +219,8 @@ def run_view(log: RunLog) -> RunView:
 def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) -> tuple[PlanView, Decoded]:
     """Return plan and decoded ticks of a run with falls, both on the clock of the run.
 
-    The plan's clock stands still during a fall, so its times are moved to the ticks that count.
+    The plan's clock stands still during a fall, so its times are moved to the ticks that count: those on the itinerary
+    that no later stretch repeats.
 
     Args:
         log: log of the run.
@@ -232,6 +237,7 @@ def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) 
     decoded = decode_run(counted_motion.time, counted_motion.angles, plan)
 
     def clock(time: float) -> float:
+        """Return the run's time, s, at a time of the plan, s, by the ticks that count."""
         return float(np.interp(time, counted_motion.time, log.time[rows]))
 
     visits = (replace(visit, first=int(rows[visit.first]), last=int(rows[visit.last])) for visit in decoded.visits)
@@ -339,7 +345,11 @@ def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
 
 
 def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> dict[str, float]:
-    """Return the relative differences between the plant's and the model's ratios, by the estimated parameter's name."""
+    """Return the relative differences between the plant's and the model's ratios, by the estimated parameter's name.
+
+    Ratios are those of inertias M, couplings S and frictions to M12, or to M11 of one arm. Differences that are not
+    finite are left out, and those of frictions if either has additional friction laws.
+    """
     n = model.count
     names = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)]
     # Weights lie between inertias and couplings and share the couplings' errors.

@@ -299,6 +299,8 @@ def series_of(log: RunLog) -> RunView:
 def _cart_acceleration(velocity: Array, time: Array) -> Array:
     """Return the cart's mean acceleration (N,) between ticks, m/s², nan at instantaneous velocity jumps.
 
+    An entry belongs to the period that begins with its tick; the last one repeats the one before it.
+
     Args:
         velocity: velocity (N,) of the cart, m/s.
         time: times (N,), s.
@@ -328,7 +330,8 @@ def clean(values: Array) -> Array:
 def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
     """Return measured positions and rates (N, 2n+2) in the order of a state; without a cart (N, 2n).
 
-    Recordings from a bench have no estimates, so these are drawn. Missing rates are differences within each segment.
+    Recordings from a bench have no estimates, so these are drawn. If the log has no rates, they are differences of
+    successive positions between two gaps in time, and zero for a single row there.
 
     Args:
         log: log of a run or a recording.

@@ -354,6 +354,8 @@ def counted(stretches: Sequence[Stretch], *, rate_hz: float) -> list[tuple[NDArr
 def spliced(flown: Flown, plan: Reference) -> Flown:
     """Return the counted part of a run on the plan's clock: each stretch up to the restart of a later one.
 
+    If no tick of the stretches counts, the motion is returned unchanged.
+
     A stretch is an interval on the itinerary between falls. Symbols completed before a fall remain completed; of a
     repeated part the last stretch counts. Whole turns by which the arms were off the plan are removed.
 
@@ -376,6 +378,8 @@ def spliced(flown: Flown, plan: Reference) -> Flown:
 
 def verdict_on(flown: Flown, plan: Reference) -> Verdict:
     """Judge a run against its plan: decode the completed part, and find the first fault.
+
+    Of a run with stretches, the counted part is judged; the cart's limits apply to the whole motion.
 
     Args:
         flown: motion of the run.
@@ -456,7 +460,8 @@ ENDINGS = frozenset(ending.value for ending in Ending)
 def _part(log: RunLog, flown: Flown, plan: Reference) -> FaultFigures | None:
     """Return the fault of a log that covers only a part of its run or has gaps, or None for a whole log.
 
-    Such a log cannot show that the run was completed. On a rig, stamps that jump belong to the run itself.
+    Such a log cannot show that the run was completed. Only a log that another program has rewritten can be a part. On a
+    rig, stamps that jump belong to the run itself, and files of a night are not checked.
 
     Args:
         log: log of a run.
@@ -530,6 +535,8 @@ def returns(events: Sequence[Event]) -> tuple[float, ...]:
 def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
     """Return the number of attempts of each symbol, 0 for those not started, from the log's events.
 
+    An event that joins the itinerary has the number of the next symbol, from 1, and its attempt.
+
     Args:
         log: log of a run that could recover.
         done: number of completed symbols.
@@ -557,10 +564,11 @@ def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | No
 
 
 def _fault(flown: Flown, plan: Reference, decoded: Decoded) -> FaultFigures:
-    """Return the fault that keeps a run from completing its plan, with the figures of its sentence.
+    """Return the fault that keeps a run from completing its plan, or `Fault.NONE`, with figures for its sentence.
 
     The first check that fails counts, in the order of start, symbols, wraps, limits, end, and distance from the last
-    orbit. `decoded` is the part of the plan that the run has completed.
+    orbit. `decoded` is the part of the plan that the run has completed: `matched` is the number of stops that were
+    reached, and `lost` the first tick farther than `FOLLOWS` from the plan, or None.
     """
     content, matched_stops, lost_tick = plan.content, decoded.matched, decoded.lost
     stops, symbols = content.stops, content.symbols
@@ -616,7 +624,7 @@ _UNSEEN = 0.05
 
 
 def _unobserved(flown: Flown) -> FaultFigures | None:
-    """Return the fault of time stamps that run backwards or have gaps, or None.
+    """Return the fault of time stamps that run backwards or have gaps, with the first such step, or None.
 
     In a gap an arm could turn unobserved, so symbols cannot be counted.
     """
@@ -631,7 +639,8 @@ def _unobserved(flown: Flown) -> FaultFigures | None:
 def _limits(flown: Flown) -> FaultFigures | None:
     """Return the fault of a run whose cart exceeded a limit, with value and time of the largest excess, or None.
 
-    The drive's hardest acceleration is checked first if it is known, then the cart's motion.
+    The drive's hardest acceleration is checked first if it is known, then the cart's position and velocity, then its
+    acceleration if the drive's is unknown. The first limit that is exceeded counts.
     """
     states, n = flown.states, flown.angles.shape[1]
     if flown.limits is None:

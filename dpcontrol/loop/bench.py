@@ -699,9 +699,10 @@ def draw_bench(
 ) -> BenchDraw:
     """Draw plant, initial errors, sensor errors, noise and blows of one run from its seed.
 
-    Each use of random numbers has its own generator, by the names of `_STREAMS`. Numbers for each tick become streams
-    of the draw, if the settings need them; `normal` stores Gaussian ones. `within` draws one uniform number for each
-    arm.
+    Each use of random numbers has its own generator, by the names of `_STREAMS`, which `generator` returns. Numbers for
+    each tick become streams of the draw: `stream` stores one unless `wanted`, the size of its noise, is zero, and
+    `normal` one of Gaussian numbers with the standard deviations `sigmas`. `within` draws a uniform number between
+    ±`most` for each arm, zeros if `most` is zero.
 
     Args:
         arms: arms of the model, which are the centre of the draw.

@@ -140,6 +140,8 @@ def keeping_controller(
 ) -> Program:
     """Return the program of laws for a reference with stays: one keeps each stay, another follows each flight.
 
+    Stays on the same orbit share one law. The reference's segments give the rows of each stay or flight.
+
     Args:
         reference: reference that was planned with stays.
         parameters: parameters of the model's arms.
@@ -156,7 +158,7 @@ def keeping_controller(
             f'controller: keep = "{keep}": the reference was planned without stays; write keep = "{keep}" under '
             "[controller] of an itinerary that is a walk"
         )
-    # The next stay holds the end of a flight, so no terminal weight is needed.
+    # The next stay holds the end of a flight, so no terminal weight is needed (`closing` is the factor on it).
     flight_settings = replace(flies, closing=1.0)
     keepers: dict[str, OgyController | OrbitController] = {}
     stays, flights = list[Keep](), list[Fly]()
@@ -336,7 +338,10 @@ class LawInputs:
 
 
 def _own(made: LawInputs) -> Controller:
-    """Return a user's Python law, which receives the reference's states and feedforward at each tick."""
+    """Return a user's Python law, which receives the reference's states and feedforward at each tick.
+
+    `made` holds reference, model and settings. A law of feedforward alone supplies the states and inputs by tick.
+    """
     user_object = made.settings.own
     reference_fields = fields_of(
         ReferenceController, tracking_controller(made.reference, made.model, FeedforwardSettings())
@@ -345,7 +350,10 @@ def _own(made: LawInputs) -> Controller:
 
 
 def _ogy(made: LawInputs) -> Controller:
-    """Return the law that keeps the itinerary's orbit by pulses once per section of its period (OGY control)."""
+    """Return the law that keeps the itinerary's orbit by pulses once per section of its period (OGY control).
+
+    `made` holds reference, model and settings. A reference that does not stay on one orbit is refused.
+    """
     if made.stay is None:
         raise InputError(
             f'controller: kind = "{made.settings.kind}" keeps an orbit; give the itinerary orbit = "down-up"'
@@ -358,6 +366,8 @@ def _hold(made: LawInputs) -> Controller:
     """Return the law that holds the itinerary's equilibrium, with gains on the estimated disturbances.
 
     Dry friction enters as the viscous friction that dissipates as much in an oscillation of amplitude `_OSCILLATION`.
+    Its damping ratio is 4/(π · amplitude) times the dry torque over the scale of damping, at most `_MOST_DRY`. `made`
+    holds reference, model and settings. A reference that moves, or stays on an orbit, is refused.
     """
     settings, model, estimator, parameters = made.settings, made.model, made.estimator, made.parameters
     plan = made.reference.plan
@@ -375,7 +385,11 @@ def _hold(made: LawInputs) -> Controller:
 
 
 def _tvlqr(made: LawInputs) -> Controller:
-    """Return the law by time-varying LQR for the itinerary's stays, its only orbit, or its walk."""
+    """Return the law by time-varying LQR for the itinerary's stays, its only orbit, or its walk.
+
+    `made` holds reference, model and settings, and `keep`, the law that keeps the stops of a walk ("none" for no other
+    law). With `keep = "tvlqr"` and estimated parameters, the stops are kept by gains by time that depend on them.
+    """
     reference, parameters, model, settings = made.reference, made.parameters, made.model, made.settings
     if keeps_by_phase(made.keep, made.estimator):
         return keeping_controller(reference, parameters, model, flies=settings, keep=made.keep)

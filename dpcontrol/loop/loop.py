@@ -101,8 +101,10 @@ class ControlLoop:
     ) -> None:
         """Begin before the first tick, with no rows.
 
-        `_first` is the tick of the first row in memory, `_done` the number of completed ticks, and `_flushed` of those
-        sent to the sink.
+        `_rows` are the rows in memory and `_first` the tick of the first of them; `_full` holds earlier blocks of rows.
+        `_done` is the number of completed ticks, and `_flushed` of those sent to the sink. `_fall` is the cause of a
+        fall and its figures, from the supervisor's decision to the end of the tick. `_stopped` is True once the cart
+        was stopped for good, and `_until` the tick at which a repeated itinerary ends, 0 without repetition.
         """
         self.ticker, self.limits, self.sink, self.fallback, self.progress = ticker, limits, sink, fallback, progress
         self._rate_noise, self._recovery, self._keep = rate_noise, recovery, keep
@@ -144,9 +146,13 @@ class ControlLoop:
             self._flush(self._done)
 
     def _run(self, rig: Rig) -> LoopResult:
-        """Read, decide and command in each tick until the run ends, then stop the rig and return all ticks.
+        """Read, decide and command in each tick until the run ends, then stop the rig and return its result.
 
-        If `blocks_of` has blocks for this rig, ticks without events are computed in blocks, and all others one by one.
+        The result holds all ticks, or those of the last block of rows if `keep` is False. If `blocks_of` has blocks for
+        this rig, ticks without events are computed in blocks, and all others one by one.
+
+        In the report of a tick, `notable` is not 0 with a decision of the supervisor, and `news` with another event.
+        `done` is 1 once a stopped cart has rested long enough.
         """
         ticker, period = self.ticker, self._period
         block_size, recovery = self.count, self._recovery
@@ -216,6 +222,7 @@ class ControlLoop:
                     )
             if ticker.event:
                 self._event(k * period, "info", "controller", words=ticker.event)
+            # A cart that was stopped because of its track may still reach the end of it: that is no other ending.
             if (fault := rig.fault) is not None and self.end.name != fault.name:
                 self.end = fault
                 break
@@ -266,7 +273,7 @@ class ControlLoop:
         _LOG.debug("%s", message, exc_info=failure)
 
     def _next_block(self, k: int) -> tuple[Ticks, Callable[..., None]]:
-        """Allocate rows for the block of ticks that begins with tick k, and return them with their method `take`.
+        """Allocate rows for the ticks from tick k on, and return them with the method that writes one row.
 
         A run of any length is stored block by block. The full block before is stored for the result, unless `keep` is
         False.
@@ -285,7 +292,8 @@ class ControlLoop:
         """Carry out the decision of the tick's supervisor at tick k.
 
         The decision is an `Outcome`: restart the estimator, move the reference's clock, hold an orbit, or stop the
-        cart. If a recovery exists, a fall is only noted here, and `_run` hands it to the recovery after the tick.
+        cart. If a recovery exists, a fall is only stored in `_fall` here, and `_run` hands it to the recovery after the
+        tick. `_stopped` is True once the cart was stopped for good; a fall while it brakes has no effect.
         """
         ticker, time_s = self.ticker, k * self._period
         outcome = Outcome(int(ticker.report.outcome.item(0)))

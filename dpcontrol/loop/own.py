@@ -90,9 +90,11 @@ class OwnObject:
         return f"{self.name} {self._fingerprint}"
 
     def __deepcopy__(self, memory: Any) -> "OwnObject":
+        """Return the object itself, because copies of settings share the user's object."""
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
+        """Return the call that makes the object in another process: from its file if it has one, else pickled."""
         return own_object, (self.role, self.source or self.thing)
 
     @cached_property
@@ -105,14 +107,17 @@ class OwnObject:
             return uuid4().hex
 
     def call(self, member: str, *arguments: Any) -> Any:
-        """Call a method and return its value, or return an attribute; None if the object has neither.
+        """Call a method of the user's object and return its value, or return an attribute; None if it has neither.
 
         Args:
             member: name of the method or attribute.
             *arguments: arguments of the method.
 
+        Returns:
+            Any value, since the code is the user's; `numbers` checks it.
+
         Raises:
-            OwnFailure: it raised.
+            OwnFailure: the method or attribute raised.
         """
         try:
             value = getattr(self.thing, member, None)
@@ -125,7 +130,7 @@ class OwnObject:
 
         Args:
             member: name of the method, for the message.
-            value: the returned value.
+            value: value that the user's method returned, of any type.
             *shape: shape of the array, none for one number.
 
         Raises:
@@ -134,6 +139,7 @@ class OwnObject:
         try:
             array = np.array(value, dtype=float)
         except (TypeError, ValueError, OverflowError):
+            # NaN fails the check below, which makes the message.
             array = np.full(shape, np.nan)
         if array.shape != shape or not np.abs(array).max() <= LARGEST:
             shown_value = " ".join(repr(value).split())[:_SHOWN]
@@ -168,9 +174,9 @@ def names_file(value: str) -> bool:
 
 
 def own_object(role: str, value: Any) -> OwnObject:
-    """Return a user's object: the object itself, or the one that FILE.py:CLASS names.
+    """Return a user's object, checked and wrapped: the given object, or the one that FILE.py:CLASS names.
 
-    Classes in files are called without arguments.
+    A class in a file is called without arguments; any other object of that name is used as it is.
 
     Args:
         role: role of the object, "controller", "estimator", "plant" or "rig".
@@ -278,7 +284,10 @@ class OwnSession(Session):
         self.failure: OwnFailure | None = None
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return the action for the period from a tick.
+        """Return the action for the period from a tick: feedforward, feedback, and the reference state.
+
+        The user's law returns their sum, an acceleration, from which the feedforward is subtracted. The first `lead`
+        commands come from the reference. If the law fails, the command is 0 and `failure` is set, which ends the run.
 
         Args:
             tick: the tick in which the command acts.
@@ -335,7 +344,7 @@ class OwnEstimates(Estimator):
         return Estimate(state.copy(), np.empty(0), unknown, np.zeros(self._model.arms + 1), 0.0, 0, None)
 
     def sends(self, command: float) -> None:
-        """Receive the last command, which the object's next update is told.
+        """Store the last command, which the object's next `update` receives.
 
         Args:
             command: acceleration of the cart, m/s².
@@ -365,6 +374,9 @@ class OwnEstimates(Estimator):
 
     def _updated(self, estimate: Estimate, expected: Array, measured: Array, present: Present) -> Estimate:
         """Return the user's estimate after a reading, with its NIS; a failure leaves the estimate as it was.
+
+        The NIS is computed from the standard deviations of the object's `sigmas`; without them it is 0, and `judged` is
+        False. The object's `reset` is called before its first update.
 
         Args:
             estimate: last estimate.
@@ -450,11 +462,13 @@ class OwnArms:
         return self.values[self._cart + 1]
 
     def move(self, acceleration: Any, duration: Any, *, time: Any, span: float = 0.0) -> None:
-        """Advance the plant with a constant demand.
+        """Advance the plant with a constant demand, and put a cart beyond its track at rest at the hard stop.
+
+        The first such stop is stored in `faults`, with the time at the end of the step.
 
         Args:
             acceleration: demanded acceleration of the cart, m/s².
-            duration: duration, s.
+            duration: duration of the step, s.
             time: time at its start, s.
             span: ignored.
 
@@ -474,7 +488,7 @@ class OwnArms:
         self._set_state(state)
 
     def strike(self, blow: Blow, run: int = 0) -> None:
-        """Apply a blow.
+        """Apply a blow to the state: impulses on the arms, jumps of their rates, and of the cart's velocity.
 
         Args:
             blow: impulses and jumps.
@@ -509,10 +523,12 @@ class OwnRig:
         """The true state (2n+2,) at the last reading, if the object provides it."""
 
     def read(self) -> Reading:
-        """Return the reading of the next tick.
+        """Return the reading of the next tick, from the positions (n+1,) or the `Reading` that the object returns.
+
+        Its time is the loop's own. `truth` is read too, if the object has it.
 
         Raises:
-            OwnFailure: the object failed.
+            OwnFailure: the object raised, or returned invalid numbers.
         """
         user_object, count = self.own, self._arms + 1
         value = user_object.call("read")
@@ -541,7 +557,7 @@ class OwnRig:
             self.own.call("command", acceleration)
 
     def stop(self) -> None:
-        """Stop the cart through the object."""
+        """Call the object's `stop`, unless an earlier call succeeded; report a failure, since the cart may move."""
         if self._stopped:
             return
         try:

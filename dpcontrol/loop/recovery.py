@@ -253,7 +253,23 @@ class FallRecovery:
     def __init__(self, plan: RecoveryPlan, main: Controller, *, until: int = 0) -> None:
         """Begin on the itinerary at its first stop, with no attempts and no falls.
 
-        Ticks count from the start of the run, and `_at` is the time on the plan's reference, s, at the tick `_joins`.
+        Ticks count from the start of the run. The itinerary is joined at the tick `_joins`, at the time `_at` on the
+        plan's reference, s; `_arrives` is True if a flight led there, and `_flown` holds the completed stretches. Its
+        reference was last followed at the tick `_followed`, and up to the time `_good` before the last fall.
+
+        `_stop` is the index of the last stop, `_attempts` the failed attempts of the symbol after each stop, and `_lap`
+        the number of the repetition. If `_begins` is True, its start is not logged yet. `_meets` is the tick of the
+        reference at which the next lap can begin without a flight, or None.
+
+        Braking began at the tick `_began`, because of `_why` and the sensor `_sensor`. The estimate was last wrong at
+        the tick `_lost_at`, and is usable if `_reliable`. From the tick `_asks` on, a flight to the stop `_goal` (-1
+        for rest) may be requested. Its search has `_thinking` s, and its answer is read at the tick `_answers`, which
+        is `_NEVER` without a request.
+
+        `_course` is the flight under way and `_tries` the number of flights that failed since the fall.
+
+        `_near` is True once the state was near the reference since the last catch. `_seen` is the last tick and
+        position, m, of a check that a stopped cart stays still. `_bounds` are the supervisor's usual bounds.
         """
         self._plan, self._main, self.until = plan, main, until
         self.motion = Motion.ITINERARY
@@ -288,7 +304,8 @@ class FallRecovery:
     def begin(self, ticker: Ticker) -> Event:
         """Store the supervisor's usual bounds, start the first motion and return its event.
 
-        A run from any state begins with braking, until its first flight is planned.
+        A run from any state begins with braking, until its first flight is planned. If the itinerary repeats (`until`),
+        the tick is sought at which its reference meets its start (`_meets`).
 
         Args:
             ticker: ticker of the run.
@@ -315,7 +332,10 @@ class FallRecovery:
         return symbol_figures(symbols, place) if place < len(symbols) else {}
 
     def _resumption(self) -> Event:
-        """Return the event of a run that joins its itinerary, at the start of a lap or after a fall."""
+        """Return the event of a run that joins its itinerary: a new lap if `_begins`, otherwise a resumption.
+
+        `_begins` is True from the end of a lap until the start of the next one is logged.
+        """
         begins_lap, self._begins = self._begins, False
         if begins_lap:
             return _event("info", LAP, Cause.JOINED, {"at": self._at, "lap": self._lap})
@@ -362,13 +382,16 @@ class FallRecovery:
         plan, motion = self._plan, self.motion
         if motion is Motion.ITINERARY:
             self._flown.append(Stretch(self._joins, k + 1, self._at))
-            # Up to then the run is judged; a place after it would leave a gap.
+            # Time on the plan's reference up to which the run is judged, with `_BEFORE` s before the last tick at which
+            # the reference was followed. A flight that joined at a later time would leave a gap.
             self._good = self._at + (self._followed - self._joins) * period - _BEFORE
+            # `_arrives`: the itinerary was joined by a flight, at the tick `_joins`.
             if self._arrives and (k - self._joins) * period < 2 * SETTLES:
                 # The law did not take over, so the flight has failed.
                 motion = Motion.FLIGHT
         if motion is Motion.ITINERARY:
             self.falls += 1
+            # Stops whose first place (`at[0]`, s) was followed; the last goal is rest, which is no stop.
             reached_stops = [stop for stop, goal in enumerate(plan.briefing.goals[:-1]) if goal.at[0] <= self._good]
             self._stop, self._tries = 0 if plan.restarts else max([self._stop, *reached_stops]), 0
             attempts = self._attempts[self._stop] = self._attempts.get(self._stop, 0) + 1
@@ -395,7 +418,8 @@ class FallRecovery:
     def _brake(self, k: int, ticker: Ticker, *, still: bool = False) -> None:
         """Brake the cart from the tick after k on, until the estimate is reliable and a flight is planned.
 
-        With `still`, the cart stops where it is, since the braking law cannot use a wrong estimate.
+        With `still`, the cart stops where it is, since the braking law cannot use a wrong estimate. A flight may be
+        requested from the tick `_asks` on; no answer is awaited (`_NEVER`).
         """
         self.motion, self._began, self._lost_at = Motion.BRAKE, k, k
         self._reliable, self._answers = not still, _NEVER
@@ -412,6 +436,10 @@ class FallRecovery:
 
         On the itinerary, the run is watched for a lap's end and caught at an earlier place. On a flight, it arrives or
         the flight is replaced. While the cart brakes, a flight is requested and then followed.
+
+        `_joins` is the tick at which the itinerary was joined, or at which a flight ends, and `_at` the reference's
+        time then, s. A lap ends early at the tick `_meets` of the reference, whose state is the first one. The answer
+        to a request is read at the tick `_answers`.
 
         Args:
             k: tick.
@@ -432,6 +460,7 @@ class FallRecovery:
                 return self._arrive_at_goal(k, report, ticker)
             self._check(k, report, ticker)
             return ()
+        # The braking law's gains end with the tick `began + count - 1`, before which it is begun again.
         braking_ends = k + 2 == ticker.began + ticker.count
         if not self._reliable:
             self._hold_still(k, report, ticker, period)
@@ -443,12 +472,15 @@ class FallRecovery:
         if braking_ends:
             self._brake(k, ticker)
         elif k >= self._asks and self._answers == _NEVER:
+            # After `_TRIES` failed flights to the stop, one leads to rest (-1).
             self._goal = -1 if self._tries % (_TRIES + 1) == _TRIES else self._stop
             self._ask(k, report, ticker)
         return ()
 
     def _ask(self, k: int, report: Report, ticker: Ticker, *, course: Course | None = None) -> None:
-        """Request a flight from the pilot, whose answer is read after the time for a search.
+        """Request a flight to the stop `_goal` from the pilot, whose answer is read at the tick `_answers`.
+
+        Until then, the search has `_thinking` s. No place after the time `_good` of the reference is joined.
 
         Args:
             k: the completed tick.
@@ -481,10 +513,14 @@ class FallRecovery:
         )
 
     def _fly(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
-        """Follow the pilot's flight from tick k + 1 and return its event, or request another one if there is none."""
+        """Follow the pilot's flight from tick k + 1 and return its event; if there is none, request another one.
+
+        The answer is None if the pilot needs more time, and its course is None if it found no flight, which counts as a
+        failed one (`_tries`).
+        """
         answer = self._plan.pilot.answer()
         if answer is None or answer.course is None:
-            # A late answer is for a state that has passed; a slow processor gets more time.
+            # A late answer would be for a state that has passed, so a slow processor gets more time (`_thinking`, s).
             self._tries += answer is not None
             self._thinking = min((1.0 if answer else _SLOWER) * self._thinking, _MOST_THINKING)
             self._ask(k, report, ticker)
@@ -495,7 +531,11 @@ class FallRecovery:
         return [_event("info", FLIGHT, Cause.FLOWN, {**self._progress(), **self._stop_figures(), **duration})]
 
     def _follow(self, k: int, course: Course, ticker: Ticker) -> None:
-        """Let the ticker follow the flight `course` from tick k + 1 on, with the supervisor's usual bounds."""
+        """Let the ticker follow the flight `course` from tick k + 1 on, with the supervisor's usual bounds.
+
+        Its gains get the columns of the itinerary's, because all laws of a run share one compiled tick. The flight ends
+        at the tick `_joins`.
+        """
         law = padded(course.law.schedule(ticker.lead), self._plan.gains)
         ticker.follow(k + 1, ScheduledController(law, "flight"), lift=np.zeros(self._arms), bounds=self._bounds)
         self.motion, self._course = Motion.FLIGHT, course
@@ -505,7 +545,8 @@ class FallRecovery:
         """Replace the flight under way if it is going to miss its place at the goal, unless it is nearly over.
 
         The pilot simulates the rest of the flight from the present state, and answers with a new flight only if it is
-        needed.
+        needed. Its answer is read at the tick `_answers`. The flight ends at the tick `_joins`; a request is only made
+        if more than twice the time for a search (`_thinking`, s) remains until then.
         """
         if k == self._answers:
             self._answers = _NEVER
@@ -519,9 +560,14 @@ class FallRecovery:
         return {"stop": self._goal + 1, "stop_name": self._plan.names[self._goal]} if self._goal >= 0 else {}
 
     def _arrive_at_goal(self, k: int, report: Report, ticker: Ticker) -> Sequence[Event]:
-        """End a flight at tick k, and return events to log.
+        """Continue after a flight, which ended at the tick `_joins`, and return events to log.
 
-        The run resumes the itinerary, waits at rest for a flight to a stop, or brakes for another flight after a miss.
+        A flight to a stop resumes the itinerary there. One to rest (`_goal` -1) is held there for `RESTING` s, then the
+        cart brakes for a flight to the stop. A flight whose cost-to-go at its end is `JOINED` or more has missed, and
+        the cart brakes for another one.
+
+        The goal's targets hold states (M, N) and costs-to-go P (M, N, N) of its places, and `at` (M,) the reference's
+        time at each, s.
         """
         goal, place, n = self._plan.briefing.goals[self._goal], self._course.place, self._arms
         difference = report.state[:, 0] - goal.target.states[place]
@@ -550,8 +596,11 @@ class FallRecovery:
         """Resume from an earlier place of the reference if the run is much nearer to it than to the present place.
 
         This avoids a fall, for example if an arm has not turned and is still near its orbit. The cost-to-go measures
-        the distance. The state must be far from the present place, and must have been near since the last catch. Events
-        to log are returned.
+        the distance. The state must be far from the present place, and must have been near since the last catch
+        (`_near`). Returned are events to log, none if the run is not caught.
+
+        Places of the reference (`reach`) are `every` ticks apart, and `here` and `place` are their indices. At the tick
+        `_joins`, the reference's time was `_at` s.
         """
         plan, reach, n = self._plan, self._plan.reach, self._arms
         state = report.state[:, 0]
@@ -569,7 +618,7 @@ class FallRecovery:
             (stop for stop, goal in enumerate(plan.briefing.goals[:-1]) if goal.at[0] <= tick * period), default=0
         )
         if time_back > plan.period:
-            # A symbol, or a part of it, is repeated.
+            # More than a period of the last orbit is flown again, so a symbol, or a part of it, is repeated.
             if plan.attempts and self._attempts.get(stop, 0) + 2 > plan.attempts:
                 return ()
             self._attempts[stop] = self._attempts.get(stop, 0) + 1
@@ -585,7 +634,8 @@ class FallRecovery:
     def _hold_still(self, k: int, report: Report, ticker: Ticker, period: float) -> None:
         """Brake a stopped cart that drifts, because a drive does not follow commands exactly.
 
-        The cart's scale gives the drift; a stuck scale reports no motion.
+        The cart's scale gives the drift over `_LOOKS` s; a stuck scale reports no motion. `_seen` is the tick and the
+        position, m, of the last check.
         """
         last_tick, last_position = self._seen
         elapsed = (k - last_tick) * period
@@ -593,6 +643,7 @@ class FallRecovery:
             return
         cart = ticker.program.reading.measured[-1, 0].item()
         self._seen, drift = (k, cart), (cart - last_position) / elapsed
+        # A longer time means that the last check was of an earlier stop.
         if elapsed < 2 * _LOOKS and report.done.item(0) and abs(drift) > _DRIFTS:
             # Braking continues from the measured velocity instead of the commanded one.
             ticker.correct_velocity(drift)
@@ -600,7 +651,9 @@ class FallRecovery:
     def _is_reliable(self, k: int, report: Report, ticker: Ticker, period: float) -> bool:
         """Return True if the cart is still and the filter agrees with the readings, so that a flight can be planned.
 
-        An estimate that is wrong again restarts the filter and the observation time.
+        It must have agreed for `_TRIED` s. An estimate that is wrong at tick k (`_lost_at`) restarts the filter and
+        this time. `_why` is the cause of the fall, and `_sensor` the number of the sensor that was stuck, from 1.
+        Braking began at the tick `_began`; `same` counts the ticks with the same reading of a sensor.
         """
         # Arms at rest give constant readings, like a stuck sensor. After a time limit, the sensor is used again.
         ticks = k - self._began
@@ -637,8 +690,9 @@ class FallRecovery:
     def _end_lap(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
         """Begin another repetition of the itinerary after tick k, and return its events.
 
-        If the reference's state `state` (N,) matches the first one, the itinerary continues at once; otherwise a flight
-        leads to its start.
+        If the reference's state `state` (N,) matches the first one within `_MEETS` in each entry, but for whole turns,
+        the itinerary continues at once. Otherwise the cart brakes until a flight to its start is planned. Attempts
+        and stretches begin anew; falls are still counted.
         """
         self._lap, self._begins = self._lap + 1, True
         self._good = math.inf

@@ -258,6 +258,7 @@ class Ticks(Brief):
             return parts[0]
 
         def joined_array(name: str) -> Array | None:
+            """Return an attribute of all blocks as one array, or None if the blocks lack it."""
             arrays = [getattr(part, name) for part in parts]
             return None if arrays[0] is None else np.concatenate(arrays)
 
@@ -288,9 +289,9 @@ class Ticks(Brief):
         """Write a block of K ticks that `Blocks` has computed into rows.
 
         Args:
-            rows: rows of these ticks.
+            rows: range of the rows to write.
             measured: readings (K, n+1), NaN where missing.
-            logged: reports (K, M), whose first columns are logged.
+            logged: reports (K, M), whose first columns are estimates, control and extras.
             truth: states of the plant (K, N), whose first columns are the true states.
             references: reference states (K, N).
         """
@@ -543,11 +544,13 @@ class JudgedTicks:
         period: float,
         end: Event,
     ) -> BatchRun:
-        """Return the stored ticks of one run with its figures, once it has ended.
+        """Return the stored ticks of one run with the share of NIS in its band and the rms of its feedback, at its end.
+
+        States that are not yet transposed are written first.
 
         Args:
             lane: number of the run.
-            count: number of ticks until its end.
+            count: number of ticks until its end; at most those stored are returned.
             references: reference angles (K, n), rad, of all ticks.
             still_from: tick at which its cart was stopped, from which the references are constant.
             period: time between ticks, s.
@@ -630,6 +633,6 @@ class SinkBeside(LoopSink):
         self._under_way.append(self._thread.submit(self._sink.event, event))
 
     def _look(self) -> None:
-        """Raise the error of a finished transfer, and forget finished transfers."""
+        """Remove finished transfers from the queue, and raise the error of the first that failed."""
         while self._under_way and self._under_way[0].done():
             self._under_way.popleft().result()

@@ -51,7 +51,11 @@ class Encoders:
         self, arms: int, settings: SensorSettings, *, zeros: Array | None = None, drift: Array | None = None,
         lanes: Lanes = ONE, places: Mapping[int, int] = MappingProxyType({}),
     ) -> None:  # fmt: skip
-        """Begin with no lost counts (`_missed`) and no stuck value (`_stuck`)."""
+        """Begin with no lost counts (`_missed`) and no stuck value (`_stuck`).
+
+        `_steps` (n,) and `_cart` are the resolutions of the encoders, rad, and of the cart's scale, m, 0 for none. A
+        sensor is stuck from `_stuck_at` to `_stuck_until`, s.
+        """
         self.settings = settings
         self._arms, self._lanes = arms, lanes
         self._places, self._cart_place = [places.get(k) for k in range(arms)], places.get(arms, 2 * arms)
@@ -91,6 +95,7 @@ class Encoders:
         if drift is not None:
             zeros = [zero + rate * time for zero, rate in zip(zeros, drift, strict=True)]
         for k, (zero, step) in enumerate(zip(zeros, steps, strict=True)):
+            # An encoder with play reads an entry of the state of its own, at index `place`.
             angle, place = state[k], self._places[k]
             joint = (angle - inner_angle if place is None else state[place]) + zero
             inner_angle = angle
@@ -114,9 +119,10 @@ class Encoders:
         return zeros if self.drift is None else zeros + times[:, None] * np.array(self.drift)
 
     def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
-        """Lose counts against the motion of each joint, as an encoder does that misses edges of its pulses.
+        """Add the counts that each encoder loses in a tick to `_missed`, which `measure` subtracts from its reading.
 
-        A joint at rest loses none.
+        An encoder that misses edges of its pulses counts too little in the direction of its joint's motion. A joint at
+        rest loses none.
 
         Args:
             state: true state (2n+2,).
@@ -146,6 +152,7 @@ class ModalStep:
     """
 
     def __init__(self, step: Compiled, modes: Compiled, *, single: bool) -> None:
+        """Find the rows of state, duration and modes in the step's inputs; the modes are the last rows of `inputs`."""
         self._step, self._choose = (function.single if single else function.machine for function in (step, modes))
         self._state, self._duration = step.slices["state"], step.slices["duration"].start
         inputs = step.slices["inputs"]
@@ -155,7 +162,7 @@ class ModalStep:
         """Write the states (N, S) at the end of a step into `out`.
 
         Each pass advances all lanes to their next mode change, whose time is found by bisection, or to the end of the
-        step.
+        step. The last of `_SWITCHES` passes ignores further changes, so a joint that chatters cannot continue for ever.
 
         Args:
             inputs: state, duration, inputs and parameters (M, S) of the step.
@@ -170,7 +177,8 @@ class ModalStep:
         def advance(duration: Array) -> NDArray[np.bool_]:
             """Advance all lanes by `duration` (S,), s, and return True (S,) where a mode changes in that time.
 
-            Rows of the step's output after the N states are negative once a mode no longer holds.
+            Each call starts from the state in `step_inputs` and writes to `step_outputs`. There, the rows after the n
+            states are negative once a mode no longer holds.
             """
             step_inputs[self._duration] = duration
             self._step(step_inputs, step_outputs)
@@ -207,7 +215,12 @@ class SimulatedPlant:
     """
 
     def __init__(self, plants: list[PlantParameters], state: Array, *, track: float) -> None:
-        """Compile the plant's step, and allocate its inputs, whose rows hold state, duration, demand and parameters."""
+        """Compile the plant's step, and allocate its inputs, whose rows hold state, duration, demand and parameters.
+
+        `_machine` writes the state at the end of a step into `_flown`; `_following` is the same memory, without lanes
+        for one run. `longest` is the longest step that is accurate, s, and `_lasts` the duration now in the inputs, s.
+        `cart` and `motor` are the indices of their positions in the state.
+        """
         first = plants[0]
         self.plants, self.track = plants, track
         self.faults: dict[int, Event] = {}
@@ -249,6 +262,7 @@ class SimulatedPlant:
 
         Without lag, it is the velocity of the cart, or of the motor of a cart on a belt.
         """
+        # Velocities follow positions in the state; with lag, the cart's acceleration follows its velocity.
         velocity = self.values[self.motor + 1]
         return velocity + self.lag * self.values[self.cart + 2] if self.lag else velocity
 
@@ -260,14 +274,15 @@ class SimulatedPlant:
         Args:
             acceleration: demand of each run, m/s².
             duration: duration for each run, s.
-            time: start time, s.
-            span: longest duration of all runs, s, if they differ.
+            time: start time of each run, s, for the events of hard stops.
+            span: longest duration of all runs, s, if they differ; 0 if `duration` is the same for all.
         """
         span = span or duration
         splits = 1 if span <= self.longest else math.ceil(span / self.longest)
         inputs, following, track, cart = self._inputs, self._following, self.track, self.cart
         step, many = self._machine, self._many
         duration = duration / splits
+        # The duration is written only if it changes; NaN equals none, so the next one is written.
         if isinstance(duration, np.ndarray):
             inputs[self._duration], self._lasts = duration, math.nan
         elif duration != self._lasts:
@@ -333,9 +348,10 @@ class SimulatedPlant:
         return self._following
 
     def meet_stop(self, acceleration: float, duration: float, time: float) -> None:
-        """Move one run onto a hard stop within `duration` s, and hold it there.
+        """Advance a run whose cart hits a hard stop within `duration` s and stops there.
 
-        The time of contact is found by bisection. The stop becomes the run's fault.
+        In the remaining time the drive has no demand, so it does not push on against the stop. The time of contact is
+        found by bisection. The first contact of a run is stored in `faults`.
 
         Args:
             acceleration: demand, m/s².
@@ -356,15 +372,15 @@ class SimulatedPlant:
         figures = {"time": time + before_contact, "position": side * track, "velocity": speed}
         self.faults.setdefault(0, ended(Cause.HARD_STOP, figures))
         self._hold(side)
-        # The drive does not push on against the stop.
         self.set_state(self._flow(0.0, duration - before_contact))
         if side * self.values[cart] > track:
             self._hold(side)
 
     def _hold(self, side: float) -> None:
-        """Hold cart and motor at the hard stop of one side, 1 or -1; the arms keep their momenta.
+        """Set cart and motor at rest at the hard stop of one side, 1 or -1; the arms keep their momenta.
 
-        A knock that cancels the cart's velocity gives the rates of the arms after the impact.
+        A knock that cancels the cart's velocity gives the rates of the arms after the impact. In the state, a velocity
+        follows each position, and the acceleration of a lagging drive follows the cart's velocity.
         """
         zeros = np.zeros(self.plants[0].arms.count)
         self.strike(Blow(zeros, zeros, -self.values[self.cart + 1]))
@@ -401,6 +417,9 @@ def _of_runs(values: list[Array], lanes: Lanes) -> Array:
 def _first_states(draws: Sequence[BenchDraw], start: Array, demand: Any, lanes: Lanes) -> Array:
     """Return the states (N,) or (N, S) of plants at the first reading: the nominal start and the drawn errors.
 
+    The 2n+2 entries of arms and cart are followed by the acceleration of a lagging drive, and by the states of
+    components such as a belt.
+
     Args:
         draws: draw of each run.
         start: nominal initial state (2n+2,), or (S, 2n+2) with one state per run.
@@ -420,6 +439,11 @@ def _first_states(draws: Sequence[BenchDraw], start: Array, demand: Any, lanes: 
 class SimulatedBench:
     """Plants, sensors and drives with the same settings, one for each draw.
 
+    `_fails` is the time of a failure by its kind ("off" or "reversed"), s, and `_switch_at` the distance of the limit
+    switches from the centre, m. `_seen` is the state that the next reading shows if it is older than the tick, else
+    None. `_braking` is None until a run is stopped, then True, or (S,) for many runs. `_off` is True once the drive has
+    failed. `_coming` is the next blow as (run, (tick, blow)).
+
     Args:
         draws: draw of each run.
         settings: settings of all benches.
@@ -437,11 +461,14 @@ class SimulatedBench:
 
         `_demands` holds the demands in the order in which they act. `_sent_before` is the number of those sent before
         the present period, and `_fraction` the part of the delay beyond whole periods.
+
+        `by_tick` gives the random numbers of the stream `name` in `draw.streams`, of which the reader of a single run
+        converts blocks by `rows`.
         """
         draw, n = draws[0], draws[0].plant.arms.count
 
         def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:
-            """Return a stream's numbers by tick, which a single run reads one by one; None for an unused stream."""
+            """Return a stream's numbers by tick: a reader for one run, an array (K, …, S) for many, None if unused."""
             if lanes is ONE:
                 return draw.reader(name, rows)
             return _of_runs([run_draw.drawn(name) for run_draw in draws], lanes) if name in draw.streams else None
@@ -496,7 +523,10 @@ class SimulatedBench:
         self._coming: Any = next(self._blows, _NEVER)
 
     def _measured(self, k: int) -> Array:
-        """Return the readings (n+1,) or (n+1, S) of the encoders at tick k, rad and m, with lost counts and noise."""
+        """Return the readings (n+1,) or (n+1, S) of the encoders at tick k, rad and m, with lost counts and noise.
+
+        `_seen` is the state that a reading with an age shows; None for a reading of the present state.
+        """
         return self._encoders.measure(
             self._plant.values if self._seen is None else self._seen,
             k * self.period,
@@ -512,7 +542,8 @@ class SimulatedBench:
     def _demand(self, k: int, acceleration: Any) -> None:
         """Append the command of tick k, m/s², to the demands on their way to the drive, within the drive's limits.
 
-        A second command in the same period replaces the first.
+        A second command in the same period replaces the first: the first `_sent_before` demands are of earlier periods.
+        A drive with reversed wiring (`_fails`, time of a failure by its kind) inverts the command.
         """
         demands = self._demands
         del demands[self._sent_before :]
@@ -522,7 +553,11 @@ class SimulatedBench:
         demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
 
     def _pass(self, k: int) -> None:
-        """Advance the bench by period k, from tick k to the next, with its blows and the demands that act in it."""
+        """Advance the bench by period k, from tick k to the next, with its blows and the demands that act in it.
+
+        If no command was sent in this period, the last demand is repeated. `_coming` is the next blow as (run, (tick,
+        blow)). With a delay of i + f periods, the oldest demand acts for the fraction f, then the second one.
+        """
         plant, demands, period = self._plant, self._demands, self.period
         self._off = k * period >= self._fails.get("off", math.inf)
         if len(demands) <= self._sent_before:
@@ -576,9 +611,10 @@ class SimulatedBench:
             plant.move(acting, span, time=start + begin)
 
     def _acting(self, demand: Any, duration: float) -> Any:
-        """Return the drive's acceleration for a demand, m/s², and record the hardest.
+        """Return the drive's acceleration for a demand, m/s² (a number or (S,)), and update the largest, `hardest`.
 
-        The drive keeps its velocity reference in bounds for `duration` s, or brakes after a stop or its failure.
+        The drive keeps its velocity reference in bounds for `duration` s. It brakes instead if it has failed (`_off`)
+        or the run was stopped: `_braking` is None before any stop, True for a single run, and (S,) for many runs.
         """
         drive, velocity, braking = self._drive, self._plant.loop_velocity, self._braking
         if self._off or braking is True:
@@ -666,7 +702,8 @@ class SimulatedRig(SimulatedBench):
     def plain_ticks(self, k: int, most: int) -> int:
         """Return the number of ticks from k on, at most `most`, that need only the expression of `kind`.
 
-        The count ends with the tick of the next blow. It is 0 for the first tick and while the cart brakes.
+        The count ends with the tick of the next blow, which is the first entry of `_coming[1]`. It is 0 for the first
+        tick (k = 0) and once the cart was told to brake.
         """
         if not k or self._braking is not None:
             return 0
@@ -675,7 +712,7 @@ class SimulatedRig(SimulatedBench):
     def plain_states(self, states: Array) -> NDArray[np.bool_]:
         """Return True (K,) for states (K, N) from which a block can continue.
 
-        They are finite, with the cart on its track and away from the limit switches.
+        They are finite, with the cart on its track and nearer to the centre than the limit switches (`_switch_at`, m).
         """
         cart = np.abs(states[:, self._cart])
         return (
@@ -704,6 +741,7 @@ class SimulatedRig(SimulatedBench):
         ticks, n = range(k, k + count), len(self._nothing) - 1
 
         def values_of(stream: Any, *shape: int) -> Array:
+            """Return a stream's numbers (count, …) of these ticks, zeros for an unused stream (None)."""
             return np.zeros((count, *shape)) if stream is None else np.array([stream[tick] for tick in ticks])
 
         zeros = self._encoders.zeros_at(np.asarray(np.arange(k, k + count) * self.period, dtype=np.float64))
@@ -715,10 +753,10 @@ class SimulatedRig(SimulatedBench):
         """Continue after a block that ended with a tick, from a state, demands and reading as in `stored`.
 
         Args:
-            tick: the last tick.
-            state: state (N,) of the plant.
-            demands: demands, oldest first, m/s².
-            read: its reading (n+1,), rad and m.
+            tick: the last tick of the block.
+            state: state (N,) of the plant at that tick.
+            demands: demands on their way to the drive, oldest first, m/s².
+            read: reading (n+1,) of that tick, rad and m.
             hardest: largest acceleration of the drive since the last call, m/s².
         """
         self._tick, self._last, self._demands = tick, read.copy(), demands.tolist()
@@ -727,6 +765,8 @@ class SimulatedRig(SimulatedBench):
 
     def read(self) -> Reading:
         """Advance by one period, except in the first call, and return the reading.
+
+        If the reading of this tick is dropped, the positions are those of the last reading, and none is `present`.
 
         Raises:
             ArithmeticError: the state is no longer finite.
@@ -782,7 +822,8 @@ class BatchBench(SimulatedBench):
     def read(self) -> Reading:
         """Advance all benches by one period, except in the first call.
 
-        Return the reading of all runs, with positions (n+1, S) and switches (S,).
+        Return the reading of all runs, with positions (n+1, S) and switches (S,). A run whose reading is dropped
+        repeats its last positions, which are then not `present`.
         """
         self._tick = k = self._tick + 1
         if k:

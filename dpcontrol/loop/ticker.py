@@ -53,6 +53,8 @@ class Ticker:
         """Store the parts, and prepare the first tick.
 
         `_schedule` and `_rows` hold the gains by tick of a law without an internal clock; `_session` is a law with one.
+        `_row` names the parts of the compiled tick's input for gains and references. `_own` is a user's estimator, and
+        `_judged` False once its lack of standard deviations has been reported.
         """
         self.program, self.controller, self.estimator = program, controller, estimator
         self._own = estimator if isinstance(estimator, OwnEstimates) else None
@@ -113,7 +115,9 @@ class Ticker:
         """Prepare the first tick: reset estimator and memory, and compute the commands that are pending at the start.
 
         Pending commands are those that act before the first tick's command, because the drive has a delay of `lead`
-        periods.
+        periods. `_carts` stores the last positions of the cart by its scale, m, and `_coming` the references of a law
+        with an internal clock until the ticks at which its commands act. `_lift` is added to the rows of gains, to turn
+        their angles by whole turns.
         """
         program, first = self.program, self.controller.first_state
         self._session: Any = None
@@ -132,7 +136,7 @@ class Ticker:
             self._session = self._begun()
             self.references = np.empty((self.count, self._arms, program.runs) if self._many else (self.count, self._n))
             # Pending commands act before the first tick's own command; each is computed for the state that the
-            # previous ones lead to.
+            # previous ones lead to. All lanes begin with the same state, without errors of estimated parameters.
             extras = np.zeros(program.equations.filter.dimension - self._n)
             prediction = program.spread(np.concatenate([first, extras])[:, None])
             queued, drive = [], np.zeros(program.lanes)
@@ -157,7 +161,8 @@ class Ticker:
     def _begun(self) -> Any:
         """Return a new session of a law with an internal clock: an object that computes its commands in one run.
 
-        Runs in lockstep share one session.
+        A law with `begin_after` is told how many first commands no reading precedes (`lead`). Runs in lockstep share
+        one session, whose commands are arrays.
         """
         law: Any = self.controller
         if not self._many:
@@ -171,6 +176,9 @@ class Ticker:
             tick: the tick in which the command acts.
             ahead: predicted states (N, lanes) at that tick.
             extra: estimated further parameters (E, lanes).
+
+        Returns:
+            Numbers for one run, or arrays (lanes,) for runs in lockstep.
         """
         if self._many:
             feedforward, feedback, references = self._session.commands(tick, ahead, extra)
@@ -199,6 +207,7 @@ class Ticker:
         cart_position = (
             positions[-1] if reading.present is None else np.where(reading.present[-1], positions[-1], np.nan)
         )
+        # A ring of the last positions, from which `figures` computes a velocity.
         self._carts[k % len(self._carts)] = cart_position
         if self.whole:
             np.add(self._rows[k - self.began], self._lift, out=program.row)
@@ -223,7 +232,7 @@ class Ticker:
         Args:
             k: the first tick.
             count: number of ticks.
-            out: array (count, size, lanes) for the inputs `TickEquations.row`.
+            out: array (count, size, lanes) for the inputs `TickEquations.row`, which are gains and reference of a tick.
         """
         rows = self._rows[k - self.began :][:count, :, 0] + self._lift[:, 0]
         # Lane by lane, since numpy's innermost loop would be over the two lanes.
@@ -244,8 +253,12 @@ class Ticker:
     def _by_parts(self, k: int, reading: Reading) -> Report:
         """Compute a tick in two parts, with the law or another estimator called between them, and return its report.
 
-        `k` is the number of ticks since the present controller started. `_lift` adds whole turns to the rows of the
-        schedule. A law with an internal clock acts `lead` ticks later, and `_coming` stores its references until then.
+        `k` is the number of ticks since the present controller started. A law without an internal clock has no
+        `_session`, and its gains and references for the tick are row k of `_rows`; `_lift` adds whole turns to it. A
+        law with an internal clock acts `lead` ticks later, and `_coming` stores its references until then.
+
+        `sensed` is the output of the tick's first part, which begins with the estimate (N+E, lanes). `ahead` is the
+        state (N, lanes) at which the command acts, and `drive` the acceleration of a lagging drive then, m/s².
         """
         program = self.program
         if self.estimator is None:
@@ -271,6 +284,7 @@ class Ticker:
         program.finish(sensed, ahead, drive, feedback, predicts=self.estimator is None)
         if self.estimator is not None and self.report.outcome[0, 0] == Outcome.RESTART:
             self._estimate = self.estimator.restarted(self._estimate, reading.positions)
+        # A user's estimator without standard deviations has no NIS, which is reported once.
         if self._own is not None and not self._own.judged:
             self.report.nis[:] = math.nan
             if self._judged:
@@ -316,7 +330,7 @@ class Ticker:
     def hold(self, k: int, fallback: NearestKeeper) -> str:
         """Abandon the reference from the tick after k on, and hold the nearest orbit or equilibrium.
 
-        Return a description of it for the log.
+        Return a description of what is held, for the log.
 
         The ticker must have a single run. From then on, a tick consists of several calls, because the fallback's law is
         not part of the compiled tick.
@@ -326,9 +340,11 @@ class Ticker:
             fallback: laws that hold orbits and equilibria.
         """
         self._session, description = fallback.session(k + self.lead, self.report.ahead[:, 0].copy())
+        # From here on, k counts from the start of the present controller, like the references.
         k -= self.began
         reference = self.references[k].copy()
         self.references = np.concatenate([self.references[: k + 1], np.empty((self.count - k - 1, self._n))])
+        # The new law's references begin when its first command acts; until then, the present one stays.
         self._coming.clear()
         self._coming.extend([reference] * self.lead)
         # The gains of the row no longer apply.
@@ -349,7 +365,9 @@ class Ticker:
 
         The ticker must have a single run.
 
-        The filter and the pending commands continue. The supervisor's memory is reset.
+        The filter and the pending commands continue. The supervisor's memory is reset: its means, its restarts of the
+        filter, and a stop or hold. Until the first command of a law with an internal clock acts, the present estimate
+        is its reference.
 
         Args:
             k: the next tick.
@@ -386,14 +404,18 @@ class Ticker:
             return
         self._session, self._rows, self.references = None, schedule.rows[:, :, None], schedule.references.copy()
         self.references[:, : self._arms] += lift
-        # The table is long, so each row is turned in its own tick.
+        # The table of gains is long, so whole turns are added to each row in its own tick. They apply to the states
+        # from which gains measure deviations, and to the angles of which the supervisor measures the distance.
         self._lift = np.zeros(self._rows.shape[1:])
         lifted = program.equations.row.of(self._lift)
         lifted.state[: self._arms] = lifted.wanted[:] = lift[:, None]
         program.bound(mode=float(schedule.mode))
 
     def lose(self) -> None:
-        """Restart the filter at the next reading with a wide covariance, because its estimate has become wrong."""
+        """Restart the filter at the next reading with a wide covariance, because its estimate has become wrong.
+
+        An estimator that replaces the compiled filter restarts now, with the last measured positions.
+        """
         self.program.memory.restart[:], self.program.memory.nis[:] = 1.0, 0.0
         if self.estimator is not None:
             measured = self.program.reading.measured[:, 0].copy()

@@ -184,8 +184,11 @@ class RecordedRig:
     def read(self) -> Reading:
         """Return the recorded reading of the next tick.
 
+        A reading that was not sent has no sensors. Once the loop has stopped the cart, readings continue to the
+        record's end; before that, they end with the last tick that the recorded loop answered.
+
         Raises:
-            ArithmeticError: the loop no longer responded at that time.
+            ArithmeticError: the recorded loop no longer responded at that time, or the record ends.
         """
         record = self._record
         k = self._tick + 1
@@ -199,9 +202,9 @@ class RecordedRig:
         return Reading(k * self.period, record.positions[k], present, int(record.switch[k]), age=age)
 
     def command(self, acceleration: float) -> None:
-        """Compare a command with the recorded one, and keep the largest difference in `difference`, m/s².
+        """Compare the loop's command with the recorded one, and keep the largest difference in `difference`, m/s².
 
-        The estimator then uses the recorded command.
+        The estimator then uses the recorded command instead. A tick without a recorded command is not compared.
 
         Args:
             acceleration: command, m/s².
@@ -310,8 +313,9 @@ class UdpBench(AbstractContextManager["UdpBench"]):
     def _served(self, data: bytes, sender: Any) -> bool:
         """Handle a packet that comes between runs, and serve the run if it is a START.
 
-        Return True if the packet led to a run that has ended, or the loop declined the bench. `sender` is the socket
-        address of the packet's sender.
+        Return True if the packet led to a run that has ended, or the loop declined the bench, either of which counts as
+        a run. Other packets are answered if necessary, and the result is False. `sender` is the socket address, host
+        and port, of the packet's sender.
         """
         # The session that this sender may begin is not stored, so nobody can lock out others, and a forged sender does
         # not receive it.
@@ -332,6 +336,7 @@ class UdpBench(AbstractContextManager["UdpBench"]):
         self.record = BenchRecord(self._recorded, self._arms, self._period)
         with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
             talk = Talk(Role.BENCH, session, key=self._key)
+            # The run's end of the session then refuses a repetition of the START.
             talk.unpack(data)
             run = _BenchRun(
                 self._socket, sender, rig, talk, ticks=self._ticks, settings=self._settings, others=self._greeted,
@@ -403,9 +408,11 @@ class _BenchRun:
         )
 
     def go(self) -> str:
-        """Run tick by tick until the loop says goodbye or disconnects, or all ticks are done.
+        """Run tick by tick until the loop says goodbye or disconnects, the rig fails, or all ticks are done.
 
-        Return the cause of the end as a text.
+        Return the cause of the end as a text. `_silent` counts the ticks since the loop's last packet, and `_held`
+        those without a new command, in which the last one is repeated. `_heard` is the newest tick with a command.
+        `_condition` and `_text` are the condition of the bench, which all readings report.
         """
         period, watchdog, clock = self._rig.period, self._settings.watchdog, time.perf_counter
         start = clock()
@@ -470,7 +477,10 @@ class _BenchRun:
                 self._others(data, sender, Bye("the bench is busy with another loop; wait until it has ended"))
 
     def _receive(self, data: bytes) -> None:
-        """Handle a packet from the loop's address: a command, a STOP or a BYE. Each ends the loop's silence."""
+        """Handle a packet from the loop's address: apply a command, stop the cart on a STOP, end the run on a BYE.
+
+        Each ends the loop's silence. A packet that is not valid or comes again is counted and has no effect.
+        """
         try:
             packet = self._talk.unpack(data)
         except ValueError:
@@ -488,9 +498,10 @@ class _BenchRun:
             self._rig.stop()
 
     def _apply(self, content: CommandPacket) -> None:
-        """Apply the loop's command to the rig unless it is outdated.
+        """Apply the loop's command to the rig, unless a newer one has come or its tick is in the future.
 
-        A command is outdated if a newer one has come. Its tick must not be in the future.
+        `_heard` is the newest tick with a command, and `_tick` the present one. An acceleration that is not finite
+        stops the cart.
         """
         if not self._heard < content.tick <= self._tick:
             return
@@ -576,7 +587,11 @@ class FaultyRig:
         return self._rig.fault
 
     def read(self) -> Reading:
-        """Return the next reading through the faulty wiring."""
+        """Return the next reading through the faulty wiring.
+
+        The angles of the reading are absolute. They are converted to those of the joints, changed as faulty encoders
+        would, and added up again, unless that is the fault.
+        """
         reading, faults = self._rig.read(), self._faults
         joints, cart = np.diff(reading.positions[:-1], prepend=0.0), reading.positions[-1]
         if "encoders-swapped" in faults:
@@ -639,7 +654,7 @@ class BenchRecipe(Brief):
         return 1 / self.settings.rate
 
     def rig(self, queued: Sequence[float]) -> Rig:
-        """Return a bench at its start, with the disturbances that the settings draw.
+        """Return a bench at its start, with the disturbances that the settings draw, and any wiring faults and zeros.
 
         Args:
             queued: pending commands, oldest first, m/s².

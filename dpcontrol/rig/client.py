@@ -67,7 +67,7 @@ def without_collecting() -> Iterator[None]:
 def real_time_priority() -> Iterator[bool]:
     """Run with real-time priority (SCHED_FIFO) in the block, so that other programs do not delay ticks.
 
-    Yield whether the system allowed it.
+    Yield True if the system allowed it; otherwise False, and the priority stays.
 
     Only for processes that sleep most of the time, because others would block their core.
     """
@@ -238,9 +238,10 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         return Deadlines(self._tick + 1, self._missed, self._worst, self._lost, self._held, rejected)
 
     def read(self) -> Reading:
-        """Wait for the reading of the next tick.
+        """Wait for the reading of the next tick, and return it with the zeros subtracted.
 
-        If it is overdue, the tick continues without it.
+        If it is lost or overdue, the result has no sensors and repeats the last positions. The reading also says how
+        many s the tick began beyond a period too late.
 
         Raises:
             ArithmeticError: the bench has disconnected, ended the run, or stopped the cart for lack of packets.
@@ -341,7 +342,9 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         return packet
 
     def _awaited(self, k: int) -> ReadingPacket | None:
-        """Return the first reading of tick k or a later one that comes in time, else None.
+        """Return the first reading of tick k or a later one that comes in time, else None; earlier ones are dropped.
+
+        In time is up to `patience` s after tick k is due, which is k periods after tick 0 (`_begin`, s).
 
         Raises:
             ArithmeticError: the bench has been silent for too long.
@@ -355,7 +358,9 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         return None
 
     def _taken(self, content: Message) -> ReadingPacket | None:
-        """Return the reading in a packet, or None if it has none, and date the begin of the run by its arrival.
+        """Return the reading in a message, or None if it is none, and date the begin of the run by its arrival.
+
+        `_begin` is the time of tick 0 on this computer's clock, s: the earliest that any reading's arrival implies.
 
         Raises:
             ArithmeticError: the bench ended the run.
@@ -380,7 +385,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
     def _arrivals(self, until: float) -> Iterator[Message]:
         """Yield the messages of valid packets that wait already or arrive until a time, s on the clock `perf_counter`.
 
-        An error of the channel is kept for the report of a lost bench.
+        The text of a channel's error is stored in `_problem`, for the report of a lost bench.
         """
         try:
             for _ in range(_MOST_PACKETS):
@@ -397,12 +402,13 @@ class PacketRig(AbstractContextManager["PacketRig"]):
     def _accepted(self, data: bytes) -> Iterator[Message]:
         """Yield the message in the packet `data` if it is valid, new and of this run's bench.
 
-        Other packets are counted as refused.
+        Other packets are counted as refused, and the reason is stored in `_problem`. A reading must have the positions
+        (n+1) of the bench's arms and a tick of its run, which the bench's welcome gives.
         """
         try:
             content, welcome = self._talk.unpack(data).content, self.welcome
         except ValueError as error:
-            # A second answer to a repeated HELLO is not foreign.
+            # A second answer to a repeated HELLO is not foreign; bytes 8 to 16 of a packet are its session.
             if self._tick < 0 or data[8:16] != self._request:
                 self._refused += 1
                 self._problem = f" ({error})"

@@ -242,9 +242,11 @@ def commission(
 
 
 def _judged(session: RigSession, settings: LoopSettings, zeros: tuple[float, ...]) -> list[Finding]:
-    """Return the findings of drive, wiring, play, friction and model from the recorded motion.
+    """Return the findings of zeros, drive, wiring, counts, play, friction and model from the recorded motion.
 
-    `zeros` (n,) rad are those of the settings at present.
+    `zeros` (n,) rad are those of the settings at present. The session has the ticks of the parts of the motion: the
+    cart was held from `held_from` on, the chirp lasted from `chirped_from` to `chirped_to`, and the free swing ended at
+    `rang_to`.
     """
     arms, period, held_from = session.arms, session.period, session.held_from
     readings = session.filled()[: session.rang_to + 1]
@@ -273,8 +275,9 @@ def _first(holds: Mapping[Cause, Any]) -> Cause:
 def _signs(gain: float, factors: Array) -> list[tuple[str, ...]]:
     """Return the fewest reversals of drive, cart's scale and arms' encoders that explain the signs.
 
-    `gain` is that of the drive, and `factors` (n,) are those of the encoders, 0 if unknown. There are two solutions if
-    the rig and its mirror image need equally many reversals. Each is a tuple of names, such as "drive" or "arm 1".
+    `gain` is that of the drive, and `factors` (n,) are those of the encoders, 0 if unknown. The swings show signs
+    relative to the cart's scale only, so either the negative ones are reversed, or the scale and all others. There are
+    two solutions if both need equally many reversals. Each is a tuple of names, such as "drive" or "arm 1".
     """
     measured = {"cart": 1.0, "drive": gain}
     measured |= {f"arm {k + 1}": float(factor) for k, factor in enumerate(factors) if abs(factor) > STUCK}
@@ -291,9 +294,10 @@ def _cart_scale(gain: float, factors: Array) -> bool:
 
 
 def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) -> Finding:
-    """Judge direction and gain of the drive and of the cart's scale, with the reversals of `_signs` as figures.
+    """Judge direction and gain of the drive and of the cart's scale; the first cause that applies is the finding.
 
-    `signs` are these reversals, and `wiring` is that of the encoders.
+    `signs` are the solutions of `_signs`, tuples of the names of reversed parts; with two solutions, a mirror image
+    explains the rig as well. `wiring` has the encoders' factors, of which those below `STUCK` show no motion.
     """
     gain, factors = drive.gain, wiring.factors
     cause = _first(
@@ -312,10 +316,11 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
 
 
 def _scales(wiring: Wiring, gain: float) -> Array:
-    """Return the likely factor (n,) of each encoder, 1 without a fault, NaN if friction hides it.
+    """Return the likely factor (n,) of each encoder, without its sign: 1 without a fault, NaN if it cannot be judged.
 
     A measured factor is as accurate as the model, so a value near a likely mistake, such as 4 for the decoding of
-    quadrature, counts as that mistake. `gain` is that of the drive.
+    quadrature, counts as that mistake. It cannot be judged if friction hides it, or a fault is not significant. The
+    factor of an arm without an encoder is 1. `gain` is that of the drive, by which a wrong cart's scale is recognised.
     """
     measured = np.maximum(np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0)), STUCK)
     nearest_likely = _LIKELY[np.argmin(np.abs(np.log(_LIKELY / measured[:, None])), axis=1)]
@@ -343,7 +348,7 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float) -> Finding
         "said_delay": configured.delay,
         "said_lag": configured.lag,
     }
-    # One for the simulated bench, one for the controller.
+    # `lag` is the simulated bench's, `drive_lag` the one that the controller assumes.
     changes = {"delay": round(delay, 3), "lag": round(lag, 5), "drive_lag": round(lag, 5)}
     return Finding("delay", cause, figures, {} if cause is Cause.UNKNOWN else changes)
 
@@ -351,7 +356,9 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float) -> Finding
 def _zeros(swing: CommissioningSwing, wiring: Wiring, zeros: tuple[float, ...], settings: LoopSettings) -> Finding:
     """Judge the readings (n,) of hanging arms, rad, and propose zeros for [run].
 
-    `zeros` are the present ones, which are already subtracted from the readings.
+    `zeros` are the present ones, which are already subtracted from the readings. The zero of an arm beyond a joint that
+    friction holds is not judged. In the figures, `tilted` is True if all arms read the same angle, as on a tilted
+    track. Zeros are proposed if one is wrong, and if the settings have zeros already.
     """
     readings, errors = swing.zeros
     tolerance = max(_ZERO, 1.5 * max(settings.sensors.steps(len(readings))))
@@ -380,7 +387,9 @@ def _zeros(swing: CommissioningSwing, wiring: Wiring, zeros: tuple[float, ...], 
 def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, ...]], gain: float) -> list[Finding]:
     """Judge order, form, signs and factors of the encoders, with one finding for each fault.
 
-    `signs` are the reversals of `_signs`, and `gain` is that of the drive.
+    The form tells how readings follow from angles, for example as sums of joint angles. `signs` are the solutions of
+    `_signs`, tuples of names of reversed parts; if there are two, no arm counts as reversed. `gain` is that of the
+    drive. If no arm swings, or no wiring explains the readings, that is the only finding.
     """
     order, unknown, scales, arm_count = wiring.order, wiring.unknown, _scales(wiring, gain), len(wiring.order)
     figures = {
@@ -421,7 +430,8 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
 def _counts(session: RigSession, wiring: Wiring, gain: float, settings: LoopSettings) -> Finding:
     """Compare the counts per turn that follow from the rounding of joint angles with the encoder counts in [run].
 
-    `gain` is that of the drive.
+    An encoder's count is unknown (None) if its readings show no rounding step or its factor cannot be judged. `gain` is
+    that of the drive, by which a wrong cart's scale is recognised.
     """
     joints = np.diff(np.array(session.positions)[:, :-1], axis=1, prepend=0.0)
     steps = np.array([rounding(column) for column in joints.T])
@@ -453,9 +463,10 @@ def _counts(session: RigSession, wiring: Wiring, gain: float, settings: LoopSett
 
 
 def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings) -> Finding:
-    """Compare the play of the encoders, rad, with that in [run].
+    """Compare the play of the encoders, rad, with that in [run], and propose the measured one if it differs.
 
-    `angles` (K, n) are the readings of the arms, rad. `period` is the control period, s.
+    `angles` (K, n) are the readings of the arms, rad. `period` is the control period, s. The play is unknown if the
+    encoders are not wired rightly, or their joints reverse too rarely.
     """
     encoders = ~np.isnan(wiring.errors)
     joints = np.diff(angles, axis=1, prepend=0.0).T[encoders]
@@ -484,7 +495,11 @@ def _play(angles: Array, period: float, wiring: Wiring, settings: LoopSettings) 
 
 
 def _friction(swing: CommissioningSwing, arms: ArmChainParameters, settings: LoopSettings) -> Finding:
-    """Compare the dry friction (n,) of the joints, N m, with [run] and with the model."""
+    """Compare the dry friction (n,) of the joints, N m, with the sum of those in [run] and in the model.
+
+    In [run], it is the stiction times the share `kinetic` that a sliding joint keeps. A difference is doubtful, not
+    wrong. It counts above `_FRICTION` of gravity's torque, three standard errors, and half of the sum.
+    """
     (torques, errors), mechanics, coulomb = swing.dry, settings.mechanics, np.array(arms.coulomb or 0.0)
     configured = np.array(mechanics.of_each("stiction", arms.count)) * mechanics.kinetic + coulomb
     least_torques = np.maximum(
@@ -503,7 +518,9 @@ def _friction(swing: CommissioningSwing, arms: ArmChainParameters, settings: Loo
 def _model(swing: CommissioningSwing, wiring: Wiring, arms: ArmChainParameters) -> Finding:
     """Compare the arms' frequencies and viscous dampings with the model's.
 
-    The frequencies' ratios to the model's and the dampings are those that `fit_swing` found.
+    The frequencies' ratios to the model's and the dampings are those that `fit_swing` found. A difference is doubtful,
+    not wrong: a frequency that is off by `_DETUNING`, or a damping above `_FASTER` times the model's, less three
+    standard errors. Frequencies are not judged while an encoder stands still or its factor is uncertain.
     """
     viscous, errors = swing.viscous
     least_viscous_arms = replace(arms, viscous=tuple(np.maximum(viscous - 3 * errors, 0.0).tolist()))
@@ -536,7 +553,10 @@ def _switch(side: int, answer: int, at: float, limits: Limits) -> Finding:
 
 
 def _deadlines(session: RigSession) -> Finding:
-    """Judge the timing of both ends: late ticks, lost readings and repeated commands."""
+    """Judge the timing of both ends by the most frequent of late ticks, lost readings and repeated commands.
+
+    One in a thousand ticks is right, and a fraction of up to `OFTEN_LATE` doubtful.
+    """
     ticks, lost = len(session.positions), session.present.count(False)
     # A rig in simulated time has no deadlines.
     deadlines = getattr(session.rig, "deadlines", None)

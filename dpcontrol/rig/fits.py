@@ -70,7 +70,7 @@ class DriveFit(NamedTuple):
 def response(commands: Array, period: float, total: float, square: float = 0.0) -> Array:
     """Return the positions (K,) of a cart at rest that responds to commands (K,) m/s² with unit gain.
 
-    The parameters are `total` s, the sum of delay and lag, and `square` s², that of the lag. The two are nearly
+    The parameters are `total`, the sum of delay and lag, s, and `square`, the square of the lag, s². The two are nearly
     independent even at zero lag, unlike delay and lag. `period` is the time between commands, s.
     """
     lag = math.sqrt(square)
@@ -88,7 +88,7 @@ _MARGIN = 0.5
 
 
 def _high_passed(count: int, period: float) -> Callable[[Array], Array]:
-    """Return a filter of `count` samples that leaves no constant, velocity or acceleration.
+    """Return a filter of `count` samples that removes a constant, a constant velocity and a constant acceleration.
 
     The filter drops the samples at the beginning, in which it settles, and works on arrays (count,) or (count, m).
     `period` is the time between samples, s.
@@ -112,6 +112,8 @@ def _high_passed(count: int, period: float) -> Callable[[Array], Array]:
 def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: int, last: int) -> DriveFit:
     """Fit delay, lag and gain of the drive to the cart's motion during the chirp.
 
+    A lag that is not significant is set to zero, and delay and gain are then fitted without it.
+
     Args:
         carts: readings (K,), m.
         commands: command after each reading, m/s².
@@ -127,17 +129,26 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
     measured = filtered(positions) / motion_size
 
     def motion(total: float, gain: float, square: float) -> Array:
-        """Return the filtered motion, relative to the measured size, for total in ms and square in ms²."""
+        """Return the filtered motion of the cart, relative to the measured size, for a drive.
+
+        `total` is the sum of delay and lag, ms, `gain` that of the drive, and `square` the square of the lag, ms².
+        """
         return gain * filtered(response(demands, period, 1e-3 * total, 1e-6 * square)) / motion_size
 
     def coarse_fit(total: float, lag: float) -> tuple[float, float, float, float]:
-        """Return the cost of a delay and a lag in ms, the best gain, and both again; the least tuple fits best."""
+        """Return the cost of `total` (delay and lag together) and lag, both in ms, the best gain, and both again.
+
+        The least of such tuples fits best.
+        """
         unit_motion = motion(total, 1.0, lag**2)
         gain = float(unit_motion @ measured) / max(float(unit_motion @ unit_motion), 1e-30)
         return float(np.sum((measured - gain * unit_motion) ** 2)), gain, total, lag
 
     def refined(values: Array, free: int) -> tuple[Array, Array]:
-        """Return the best values of two or three free parameters and their standard errors."""
+        """Return the best values (3,) of total, gain and square, and the standard errors of the free ones.
+
+        The first `free` of them are fitted from `values`, the others stay.
+        """
         bounds = np.array([-1e3 * period, -np.inf, 0.0]), np.array([800, np.inf, 90_000])
         fit = fit_windows(model, values, np.arange(free), bounds=bounds, settings=_DRIVE)
         return fit.values, np.sqrt(np.diag(fit.covariance()))
@@ -147,7 +158,7 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
     model = DifferencedModel(lambda sets: np.array([measured - motion(*values) for values in sets])[:, :, None])
     # Start inside the bounds, because a search would stay on them.
     values, errors = refined(np.array([total, gain, max(lag, 0.5) ** 2]), 3)
-    # Error of the square's root, which is non-negative.
+    # The error of a root of the square: the square itself may be zero, where the root has no derivative.
     lag, lag_error = math.sqrt(values[2]), math.sqrt(values[2] + errors[2]) - math.sqrt(values[2])
     if values[2] < 3 * errors[2] or lag < _NO_LAG:
         # The lag is then zero and must not add to the uncertainty of the delay.
@@ -253,6 +264,7 @@ def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainP
     """
     n, model = arms.count, modes(arms)
     sums = sums_of(n)
+    # Equations of the joint angles φ = sums⁻¹ θ: M φ̈ + K φ + k ρ + c sgn ρ = -s ẍ, see the head of this module.
     ratios, viscous, dry, angles, rates = np.split(values.T, 5)
     mass = sums.T @ arms.mass_in_line @ sums
     shapes = sums.T @ arms.mass_in_line @ model.vectors
@@ -261,7 +273,7 @@ def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainP
     step = np.concatenate([inverse @ mass, -period * inverse @ stiffness, -inverse], axis=2)
     jumps = np.diff(carts, prepend=carts[0], n=2) / period
     pushes = jumps[:, None, None] * (np.linalg.inv(sums) @ model.shapes.sum(axis=1))[:, None]
-    # Sets lie side by side in each row, because numpy needs most of its time to begin an operation.
+    # Sets of values lie side by side in each row, because numpy needs most of its time to begin an operation.
     largest, smallest, impulses = list(period * dry), list(-period * dry), [*np.zeros_like(dry)]
     # An impulse of dry friction, N m s, changes the rates by its joint's column of `inverse`.
     effects = [inverse[:, :, j].T.copy() for j in range(n)]
@@ -269,6 +281,7 @@ def simulated_swings(values: Array, carts: Array, period: float, arms: ArmChainP
     trajectory[0] = angles
     for k, push in enumerate(pushes, start=1):
         rates = (step @ np.concatenate([rates - push, angles, impulses]).T[:, :, None])[:, :, 0].T.copy()
+        # The impulse that holds joint j, or its largest; joints affect each other, so all are corrected repeatedly.
         for j in [*range(n)] * _SWEEPS:
             impulse = np.maximum(np.minimum(impulses[j] + rates[j] / own_effects[j], largest[j]), smallest[j])
             rates -= effects[j] * (impulse - impulses[j])
@@ -297,7 +310,8 @@ def _coarse_guess(costs: Callable[[Array], Array], guess: Array, n: int) -> Arra
 def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParameters) -> CommissioningSwing:
     """Fit frequencies, friction and first state of the arms to their readings, whatever the wiring of the encoders.
 
-    The readings can be any linear combination of the angles.
+    The readings can be any linear combination of the angles and a constant, which is found by least squares. Readings
+    are used at `_ROWS` Hz.
 
     Args:
         angles: readings (K, n) of the arms, rad.
@@ -308,12 +322,14 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
     n, stride = arms.count, max(1, round(1 / (_ROWS * period)))
     rows, cart_positions, period = angles[::stride], carts[::stride] - carts[0], period * stride
     weight = float(arms.base()[n * (n + 1) // 2 :][:n].max())
+    # Units of frequencies (logarithm of the ratio), viscous and dry friction, first angles, rad, and rates, rad/s.
     units = np.repeat([0.1, 1e-3 * weight, 1e-2 * weight, 0.05, 0.3], n)
 
     def combinations(values: Array) -> tuple[Array, Array]:
         """Return angles and a constant (P, K, n+1), and the residuals (P, K, n) of their best combinations.
 
-        `values` are P rows of 5n values of `simulated_swings`, each in its unit.
+        `values` are P rows of 5n values of `simulated_swings`, each in its unit (`units`). Readings `rows` (K, n), rad,
+        are combinations of angles and constant.
         """
         motions = simulated_swings(values * units, cart_positions, period, arms)
         designs = np.concatenate([motions, np.ones((len(values), len(rows), 1))], axis=2)
@@ -353,9 +369,9 @@ _SWING = FitSettings(robust=0.0, iterations=25, tolerance=1e-4)
 
 
 def _errors(jacobian: NDArray[Any], residual: Array) -> Array:
-    """Return standard errors (p,) from derivatives (K n, p) and residuals (K, n) that are correlated in time.
+    """Return standard errors (p,) of fitted parameters from residuals (K, n) that are correlated in time.
 
-    A row of derivatives belongs to one entry of the residuals, row by row.
+    `jacobian` (K n, p) are the derivatives of the fit; a row belongs to one entry of the residuals, row by row.
     """
     scores = (jacobian * residual.reshape(-1, 1)).reshape(*residual.shape, -1).sum(axis=1)
     return np.sqrt(np.diag(clustered_covariance(jacobian.T @ jacobian, [scores], [residual])))
@@ -409,7 +425,8 @@ _CLEARLY = 0.6
 def read_wiring(swing: CommissioningSwing, encoders: NDArray[np.bool_]) -> Wiring:
     """Return the wiring that fits the readings best, for the findings about the encoders.
 
-    The correct wiring is preferred unless another one fits clearly better.
+    All forms and orders of the encoders are tried, each with its best factors. The correct wiring, which is the first,
+    is preferred unless another one fits clearly better (`_CLEARLY`).
 
     Args:
         swing: readings, and the motion of the fitted model.
@@ -439,6 +456,7 @@ def read_wiring(swing: CommissioningSwing, encoders: NDArray[np.bool_]) -> Wirin
     design = np.hstack([columns, slopes, np.kron(np.ones((len(centred), 1)), np.eye(m))])
     errors = _errors(design, centred - (columns @ nearest.factors).reshape(centred.shape))[:n]
     return nearest._replace(
+        # An arm without an encoder has no wrong factor.
         factors=np.where(encoders, nearest.factors, 1.0),
         errors=np.where(encoders, np.maximum(errors, nearest.errors), np.nan),
     )
@@ -456,6 +474,7 @@ def fit_play(angles: Array, period: float) -> tuple[float, float]:
 
     An encoder stops when its joint reverses, and follows again once the joint has crossed the play. Apart from the
     play, the readings on both sides of this gap lie on one smooth curve. Friction bends that curve at the reversal.
+    With fewer than `_REVERSALS` reversals, both results are NaN.
 
     Args:
         angles: angles (K,) of the joint, as its encoder reads them, rad.
@@ -487,6 +506,7 @@ def fit_play(angles: Array, period: float) -> tuple[float, float]:
             (samples - last) * period,
         )
         sides = np.where(samples <= last, -directions[turn], directions[turn])
+        # The play between the sides, the bend by friction, and a polynomial of degree `_DEGREE`.
         design = np.column_stack(
             [
                 sides / -2,
@@ -509,7 +529,10 @@ _REVERSALS = 4
 
 
 def rounding(values: Array) -> float:
-    """Return the rounding step of values (K,), by which an encoder's counts are recognised, or 0 without one."""
+    """Return the rounding step of values (K,), by which an encoder's counts are recognised, or 0 without one.
+
+    The step is the smallest gap between distinct values. Nearly all gaps must be multiples of it.
+    """
     # Sums and differences of multiples have errors in their last digits.
     distinct = np.unique(np.round(values, 9))
     gaps, span = np.diff(distinct), float(np.ptp(distinct))

@@ -159,7 +159,10 @@ class RigSession:
         return len(self.positions) - 1
 
     def read(self) -> Reading:
-        """Read and store the next reading, with zeros subtracted, and the last positions in place of missing ones."""
+        """Read and store the next reading, with zeros subtracted, and the last positions in place of missing ones.
+
+        Return it as the rig sent it, except that an arm without an encoder does not count as missing.
+        """
         reading = self.rig.read()
         if reading.present is not None:
             reading = reading._replace(present=reading.present | ~self._measured)
@@ -206,6 +209,7 @@ class RigSession:
         """Return the command, m/s², that steers the cart along a path.
 
         At this tick the path has position `wanted`, m from home, velocity `slope`, m/s, and acceleration `ahead`, m/s².
+        The cart's velocity is that over the last `_span` ticks. The drive's gain must be known.
         """
         earlier_cart = self.positions[max(self.tick - self._span, 0)][-1]
         velocity = (self.cart - float(earlier_cart)) / (min(self._span, max(self.tick, 1)) * self.period)
@@ -280,7 +284,8 @@ def _look(session: RigSession, options: CommissioningSettings) -> None:
 def _shift(session: RigSession) -> None:
     """Find the drive's direction and gain by shifts to and fro, without feedback, which would require them.
 
-    The gain is stored in the session.
+    The gain is stored in the session. Shifts of the sizes in `_SHIFTS` are tried in order, until one is clearly visible
+    beside the cart's drift and explains the motion clearly better than a shift to the other side.
 
     Raises:
         Halted: no shift of the cart is visible.
@@ -333,7 +338,9 @@ def _raise_for_no_shift(session: RigSession, seen: float) -> None:
 
 
 def _wait_until_still(session: RigSession, options: CommissioningSettings, notify: Notify) -> None:
-    """Hold the cart until the arms hardly swing.
+    """Hold the cart until the arms swing by at most `options.still` rad over `_WATCHED` s.
+
+    If they swing at first, the user is asked to hold them.
 
     Raises:
         Halted: they still swing after the time limit.
@@ -377,7 +384,7 @@ def _creep(session: RigSession, side: int, most: float, speed: float) -> tuple[i
     """Move to a side until a switch responds or the distance is covered, and brake.
 
     `side` is 1 for right or -1 for left, `most` the distance from home, m, `speed` in m/s. Return the switch's response
-    (-1, 0 or 1) and the cart's position then, m from home.
+    (-1 or 1 for the side of the switch, 0 if none responded) and the cart's position then, m from home.
     """
     period, target, target_speed = session.period, 0.0, 0.0
     answer, position, braking = 0, 0.0, False

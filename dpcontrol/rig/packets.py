@@ -226,7 +226,8 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> ReceivedPacket:
 def _message(kind: Kind, body: bytes, count: int) -> Message:
     """Return the message in the body of a packet, which must have the length that its numbers require.
 
-    `count` is the count in the packet's head, see the table at the head of this module.
+    `count` is the count in the packet's head: the number of arms, pending commands or bytes of a text. A HELLO or STOP
+    has no body, and its kind is the message.
 
     Raises:
         struct.error: another length, or a switch other than -1, 0 and 1.

@@ -186,10 +186,12 @@ class Job:
 def _prepared(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Assembly:
     """Return the parts of the closed loop for settings that decide the controller, built once in each process.
 
+    The last eight are stored, for other jobs with the same settings. Controller and fallback are built at once.
+
     Args:
-        archive: archive of the plan.
+        archive: archive of the plan, which holds its reference.
         arms: parameters of the model's arms.
-        loop: settings of the runs.
+        loop: settings that decide the controller, without those of the bench.
     """
     reference = load_reference(io.BytesIO(archive))
     assembly = Assembly(reference, arms, loop, stays=stays(reference))
@@ -213,7 +215,10 @@ def run_job(job: Job) -> list[Row]:
         mismatches = job.mismatches or (loop.mismatch,) * len(job.seeds)
 
         def tick_by_tick(seed: int, mismatch: float) -> Row:
-            """Return the row of one seed that runs alone, without lockstep or after a departure from it."""
+            """Return the row of one seed of the job that runs alone, from its start, without lockstep.
+
+            If the settings let it recover from falls, `returned` is the longest time back to the itinerary, s.
+            """
             events = Events()
             result = assembly.simulate(draw=assembly.draw(seed=seed, mismatch=mismatch), sink=events)
             row = _row(job, reference, seed, BatchRun.of(result), path="ticks")
@@ -434,7 +439,10 @@ class Campaign(Shown):
 
     @cached_property
     def transitions(self) -> tuple["Transition", ...]:
-        """Transitions that were run separately, in order, case by case."""
+        """Transitions that were run separately, in order, case by case; none if the whole itinerary was run.
+
+        Their rows have the transition's name as the itinerary. `alone` gives start, end and duration by this name.
+        """
         rows: dict[tuple[str, str], list[Row]] = {}
         for row in self.rows if self.alone else ():
             rows.setdefault((row["itinerary"], row["case"]), []).append(row)
@@ -546,7 +554,11 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
 
 
 def _shown(values: Sequence[Any]) -> list[Any]:
-    """Return names of values for labels and tables: objects by their class, numbered if two share a name."""
+    """Return values of a setting as shown in labels and tables, as numbers or texts.
+
+    None is "as planned", a list a text in brackets, and an object, such as a law, the name of its class, with a number
+    from the second of a class on.
+    """
     names: list[Any] = []
     for choice in values:
         # Numbers of numpy are shown as Python's, and lists as the command line takes them.
@@ -562,13 +574,14 @@ def _shown(values: Sequence[Any]) -> list[Any]:
 def transitions_of(plan: Plan) -> tuple[Plan, ...]:
     """Return the transitions of a plan between equilibria, each with the rests before and after it.
 
-    If several connect the same equilibria, only the first is returned.
+    If several connect the same equilibria, only the first is returned. The reference of a transition is the part of the
+    plan's from the end of the transfer before it to the begin of the one after it, with times from 0.
 
     Args:
         plan: plan of an itinerary with holds.
 
     Raises:
-        InputError: there is none.
+        InputError: the plan has no transition.
     """
     itinerary, reference, content = plan.itinerary, plan.reference, plan.content
     transfer_times = [0.0, *(time for transfer in content.transfers for time in transfer), float(reference.mesh[-1])]
@@ -657,7 +670,8 @@ def run_campaign(
 def _run_missing(jobs: Sequence[Job], folder: Path, schema: "pa.Schema", *, workers: int, progress: Progress) -> None:
     """Run the jobs whose rows are not in the folder, and write the rows of each job to a separate file.
 
-    Files are numbered in the order of the jobs; files of jobs that are not in this campaign are removed.
+    A file's name is the job's number, in the order of the jobs, and the hash of its inputs (`key`). Files of jobs that
+    are in this campaign get their present number, and files of others are removed.
 
     Args:
         jobs: all jobs of the campaign.
@@ -703,6 +717,7 @@ def check_table(file: Path, record: Mapping[str, Any]) -> None:
         seeds = pc.min_max(table["seed"]).as_py()
     except (InputError, LookupError, TypeError) as error:
         raise in_the_way(file, "is no table of a campaign, or was changed after it was written") from error
+    # A table may be continued if its seeds are among those of this campaign, and all decisive entries agree.
     first, is_same_campaign = (
         record["settings"]["first_seed"],
         all(existing_record.get(key) == record.get(key) for key in _DECISIVE),
@@ -722,7 +737,10 @@ _ROW_BYTES = 1000.0
 
 
 def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettings) -> Cost:
-    """Return the estimated time and memory of a campaign on this machine; the user must agree to a large one."""
+    """Return the estimated time, s, and memory, bytes, of a campaign on this machine; a user must agree to a large one.
+
+    The time is that of all ticks of `plans` and `cases` at the pace of the path, divided among the processes.
+    """
     runs = settings.runs * len(cases) * len(plans)
     ticks = settings.runs * sum(case.loop.rate for case in cases) * sum(plan.reference.duration for plan in plans)
     seconds = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())
@@ -731,7 +749,7 @@ def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettin
 
 
 def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list[Job]:
-    """Return the jobs of a plan's cases, each with as many seeds as fit in a worker's memory.
+    """Return the jobs of a plan's cases, each with at most `batch` seeds, and as many as fit in a worker's memory.
 
     A job that runs tick by tick has fewer seeds, so that a killed campaign loses little.
     """
@@ -791,14 +809,18 @@ def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: fl
         seconds: duration of the campaign, s.
         file: folder of the table, if it was written.
     """
+    # For all K rows of the table, True if the run was completed.
     completed = table["completed"].to_numpy()
 
     def rows_of_case(case: Case) -> NDArray[np.bool_]:
-        """Return True (K,) for the rows of a case."""
+        """Return True (K,) for the rows of the table that belong to a case, which is recognised by its label."""
         return pc.equal(table["case"], case.label).to_numpy()
 
     def returned(rows: NDArray[np.bool_]) -> tuple[float, float] | None:
-        """Return median and 99 % quantile of the times back to the itinerary in some rows (K,), s, or None."""
+        """Return median and 99 % quantile of the times back to the itinerary in some rows of the table, s.
+
+        `rows` (K,) is True for these rows. The result is None if none of their runs returned to the itinerary.
+        """
         times = table["returned"].filter(pa.array(rows)).drop_null().to_numpy()
         return (float(np.median(times)), float(np.quantile(times, 0.99))) if len(times) else None
 
@@ -821,6 +843,9 @@ def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: fl
 
 def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[Any]) -> tuple[Case, ...]:
     """Return the cases of the robustness score: every controller with every kind and level of trouble.
+
+    Each kind of `STANDARD` has `LEVELS` levels, values of its setting, and further settings (`besides`). Levels in
+    seconds become periods of the loop if the setting counts periods (`in_periods`).
 
     Args:
         itinerary: itinerary of all cases.
@@ -898,6 +923,8 @@ def asked_cases(
 
 def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:
     """Return each controller's robustness score from the results of `standard_cases`.
+
+    The share of a kind of trouble is that of all runs at all levels, and the score is the mean of these shares.
 
     Args:
         results: results of all cases of `standard_cases`.

@@ -50,7 +50,10 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
     metadata = {"render_modes": [], "autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(self, definition: str, *, max_episode_steps: int, num_envs: int = 1) -> None:
-        """Read the environment's itinerary, and define the spaces of observations and actions."""
+        """Read the environment's itinerary, and define the spaces of observations and actions.
+
+        `_targets` (M, n) are the angles of the equilibria to reach, rad, and `_start` (2n+2,) the state at the start.
+        """
         itinerary = load_itinerary(str(DEFINITIONS / f"{definition}.toml"))
         self.itinerary, self.num_envs, self._steps = itinerary, num_envs, max_episode_steps
         equilibrium_points, self._arms = equilibria(itinerary.model.system), itinerary.model.arms.count
@@ -75,6 +78,9 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Values, dict[str, Any]]:
         """Begin new episodes on all benches, and return their first observations and their seeds.
+
+        For each bench, `_age` counts the steps of its episode, `_stop` the targets reached, and `_stayed` the steps
+        near the present one. `_over` is not 0 if the episode has ended. `_before` are the positions of the last step.
 
         Args:
             seed: seed of the first bench, from which the others count up, or one for each; None to continue.
@@ -104,6 +110,10 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
         """Advance all benches by one period, and begin new episodes on those whose episode is over.
 
         Return observations (num_envs, 4n+2), rewards, ends and cut-offs of episodes (num_envs,), and no further data.
+        With one target, the reward is 1 where all arms have its angles, and 0 where one has the opposite angle. With
+        several, it is 1 in the step that completes `STAY` steps near one, after which the next one is the target. An
+        episode ends with the last target or beyond the cart's limit. A bench that begins a new episode has reward 0 in
+        this step.
 
         Args:
             actions: accelerations over their limit (num_envs, 1), -1 to 1.
@@ -135,7 +145,7 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
         return self._observations(), rewards, is_ended, is_cut_off & ~is_ended, {}
 
     def _restart(self, lanes: Values) -> None:
-        """Begin new episodes on some benches, whose numbers are `lanes`."""
+        """Begin new episodes, with random seeds, on some benches, whose numbers are `lanes`."""
         new_benches = self._benches(self._random_seeds(len(lanes)))
         self._reading[:, lanes] = self._before[:, lanes] = new_benches.read().positions
         self.bench.replace_runs(lanes.tolist(), new_benches)

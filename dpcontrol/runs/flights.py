@@ -70,7 +70,10 @@ def _planner(arms: ArmChainParameters, limits: Limits) -> FlightPlanner:
 def _flight(
     arms: ArmChainParameters, state: Array, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
 ) -> Flight:
-    """Return the best flight from a state (N,) to a target within limits; if it fails, it has the cause."""
+    """Return the best flight from a state (N,) to a target within limits, with the cause of success or failure.
+
+    A flight whose end is near enough to the target (`REACHED`) but that is not valid leaves the limits.
+    """
     name, places = _places(arms, target, limits)
     planner = _planner(arms, limits)
     flights = planner.plan(state[None], places)
@@ -83,7 +86,11 @@ def _flight(
 def _places(
     arms: ArmChainParameters, target: str | LyapunovOrbit | SustainedOrbit | Plan, limits: Limits
 ) -> tuple[str, Target]:
-    """Return the name of a target for texts, and its places: states at which a law can take over, with costs."""
+    """Return the name of a target for texts, and its places: states at which a law can take over, with costs-to-go.
+
+    A target is the name of an equilibrium, an orbit, or a plan, whose first stop has the places. A Lyapunov orbit,
+    which has no friction, is first made a sustained one.
+    """
     if isinstance(target, Plan):
         recovery = assembled(replace(target, itinerary=target.itinerary.with_run({"start": "anywhere"}))).recovery
         assert recovery is not None

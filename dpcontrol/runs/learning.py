@@ -207,6 +207,8 @@ def learnt_arms(
     """Return the arms whose ratios are nearest to learnt coordinates, for a new model, with two covariances.
 
     The covariance (f, f) is that of the arms' ratios, (C, C) that of the constant errors of a filter with these arms.
+    Coordinates are the logarithms of inertial ratios, then the ratios of viscous and of dry friction, n each. Dry
+    friction that the old model lacks is only added if it is significant (`_SIGNIFICANT` standard errors).
 
     Args:
         values: learnt coordinates (m,), see `coordinates`.

@@ -292,7 +292,7 @@ def run_night(
 def _learnt_plan(folder: Path, itinerary: Itinerary, *, simulated: bool) -> Plan:
     """Return the plan that is learnt from the last session of a night that ended in order.
 
-    A simulated plant stays that of the itinerary, which is drawn from its own model.
+    A simulated plant stays that of the itinerary, which is drawn from its own model, and not from the learnt one.
 
     Args:
         folder: folder of the night.
@@ -347,6 +347,8 @@ def name_check(
 ) -> Callable[[Path], None]:
     """Return a function that checks the name of a run's log or folder, which is called before planning.
 
+    The function gets the path of the log, and raises an `InputError` if the run cannot be written there.
+
     Args:
         itinerary: itinerary of the run.
         bench: rig of the run, None for the simulated bench.
@@ -359,7 +361,7 @@ def name_check(
     record = run_record(itinerary, bench)
 
     def check(file: Path) -> None:
-        """Check the name of a log, or of the folder that a long run derives from it."""
+        """Check the name of a log, or of the folder that a long run derives from it, and the cost of the long run."""
         if night is None:
             check_replaced(checked_target(file), record, force=force)
             return
@@ -401,7 +403,10 @@ def check_folder(folder: Path, record: Mapping[str, str], *, resume: bool, force
 
 
 def _since(settings: LoopSettings, begin: float) -> LoopSettings:
-    """Return the settings of a bench that resumes after `begin` s: times of a stuck sensor count from there."""
+    """Return the settings of a bench that resumes after `begin` s of a night, with times of a stuck sensor from there.
+
+    A fault that was over by then does not occur again: the sensor is stuck at an infinite time.
+    """
     sensors = settings.sensors
     first, end = max(sensors.stuck_at - begin, 0.0), sensors.stuck_at + sensors.stuck_for - begin
     stuck_sensor = (
@@ -449,5 +454,6 @@ def _place(
         raise InputError(
             f"{folder} is complete: {last_digest.end / 3600:.4g} of {night.hours:g} hours; raise --hours to continue"
         )
+    # Names of files are NAME-NUMBER followed by their extensions.
     number = max(int(file.name[len(name) + 1 :].partition(".")[0]) for file in existing_files)
     return _Resumption(last_digest.session + 1, number + 1, ceil(last_digest.end * rate - 1e-6) / rate)

@@ -228,8 +228,9 @@ def _key(plan: Plan) -> str:
 def _polished(plan: Plan, progress: Progress) -> Reference:
     """Return the polished reference of a plan, or the robust one with the reason in its status.
 
-    Each moving part has several candidates, the least costly first. They are joined until the motion keeps the walk and
-    would be completed.
+    A plan consists of moving parts, which are polished, and of rests, which stay. Each moving part has several
+    candidates, the least costly first. The k-th candidates of all parts are refined and joined, for rising k, until
+    the motion keeps the walk and would be completed. If a part has no k-th candidate, the robust plan is returned.
     """
     robust, no_turns = plan.reference, np.zeros(plan.itinerary.model.arms.count)
     time_ranges = list(stretches(robust))
@@ -239,7 +240,8 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
     for count, k in enumerate(moving_parts):
         part_progress = part_of(progress, 0.8 * count / len(moving_parts), 0.8 * (count + 1) / len(moving_parts))
         candidates[k] = _searched(_problem(plan, parts[k]), parts[k], plan.itinerary.reference, part_progress)
-    # The least costly motions of all parts are tried first, then the second best of all.
+    # The least costly motions of all parts are tried first, then the second best of all. `reason` is the obstacle of
+    # the last attempt, None for a motion that has passed all checks so far.
     reason: Concluded | None = None
     candidate_of_part = dict.fromkeys(moving_parts, 0)
     while all(candidate < len(candidates[k]) for k, candidate in candidate_of_part.items()):
@@ -281,7 +283,7 @@ def _along(motion: Trajectory) -> Guess:
 def _searched(
     problem: ReferenceProblem, part: Reference, settings: ReferenceSettings, progress: Progress
 ) -> list[Trajectory]:
-    """Return the motions that all searches from a part of the robust plan find, the least costly first.
+    """Return the motions that all searches from a part of the robust plan find, the least costly first; maybe none.
 
     Args:
         problem: problem of the part.
@@ -324,7 +326,8 @@ def _settings(settings: ReferenceSettings, weight: float, method: str, iteration
 def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
     """Return a motion of a part of the plan, refined within the plan's tolerance on a mesh of its method.
 
-    A weight holds it near the motion of the search, so that refinement does not lead to another minimum.
+    A weight holds it near the motion of the search, so that refinement does not lead to another minimum. If the first
+    solution on the plan's mesh fails, refinement starts from the motion itself. The result may not have converged.
 
     Args:
         plan: robust plan.
@@ -341,9 +344,11 @@ def _refined(plan: Plan, part: Reference, motion: Trajectory) -> Reference:
 
 
 def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
-    """Yield begin and end, s, of each part of a plan that is polished or kept.
+    """Yield begin and end, s, of each part of a plan, and True for a moving part, which is polished.
 
-    The third value is True for a moving part, False for an interior hold and the final rest.
+    An interior hold and the final rest are False: they are not changed. A hold is a stop at an equilibrium, whose orbit
+    has the multiplier 1; it lasts from the transfer that leads to it to the next one. The final rest is the last
+    `STILL` s at most.
 
     Args:
         robust: reference of the robust plan.
@@ -351,6 +356,7 @@ def stretches(robust: Reference) -> Iterator[tuple[float, float, bool]]:
     content, begin_of_part = robust.content, 0.0
     transfers = content.transfers
     for stop, symbol in zip(content.stops[1:-1], content.symbols, strict=False):
+        # Only an equilibrium has the multiplier 1 exactly.
         if content.orbit(stop).multiplier != 1.0:
             continue
         k = next(k for k, (begin, end) in enumerate(transfers) if begin <= symbol.time <= end)
@@ -421,8 +427,11 @@ def departure(robust: Reference, motion: Reference) -> Departure | None:
 def _crossed(robust: Reference, motion: Reference) -> _Crossed:
     """Return the crossings of a robust plan's sections by a motion, to compare its walk with the plan's.
 
+    The symbols of the plan are crossings of sections, or transfers, which have no section and separate walks. A
+    crossing is sought after the one before it, near the time of its symbol.
+
     Raises:
-        LookupError: the symbol of this text does not cross its section on its turns.
+        LookupError: the motion does not cross a symbol's section on its turns; the argument is the symbol's text.
     """
     content = robust.content
     n = len(content.stops[0].angles)
@@ -438,6 +447,7 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
             raise LookupError(symbol.text)
         times.append(last_crossing := crossing_time)
     events = list[list[tuple[int, int, int]]]()
+    # Successive symbols with a section form a walk.
     for transfer, group in groupby(zip(content.symbols, times, strict=True), lambda pair: pair[0].section is None):
         if not transfer:
             walk = list(group)
@@ -457,7 +467,9 @@ def _crossed(robust: Reference, motion: Reference) -> _Crossed:
 def _events(walk: list[PlanSymbol], angles: Array) -> list[tuple[int, int, int]]:
     """Return the crossings of a walk's sections in order, as number of the section, turn and direction.
 
-    Two motions with the same crossings keep the same walk.
+    Two motions with the same crossings keep the same walk. A section is the set of angles with normal · angles = value,
+    but for whole turns. Sections with different normals are numbered from 1, the last one of the walk
+    first.
 
     Args:
         walk: symbols of the walk.

@@ -242,7 +242,7 @@ class _Task:
 
 
 def _do(task: _Task) -> HazardBorder | Improvement:
-    """Carry out a task and return the border of its hazard, or the improvement by its change."""
+    """Run a task in a worker process, and return the border of its hazard, or the improvement by its change."""
     return _change(task, task.of) if isinstance(task.of, SettingChange) else _border(task, task.of)
 
 
@@ -278,20 +278,28 @@ _MOST_VALUES = 8
 def _border(search: _Task, hazard: Hazard) -> HazardBorder:
     """Return the border of a hazard: the value that halves the present number of completed runs.
 
-    The border is bracketed by doubling from the first value, then narrowed by interpolation on a logarithmic scale.
-    `search` has the seeds, and their endings on the present bench.
+    The border is bracketed by doubling from the first value, then narrowed by interpolation on a logarithmic scale of
+    severity (`Hazard.place`). It lies between `good`, where at least half of the present number complete, and `bad`. At
+    most `_MOST_VALUES` values are run. If the last value of the search is good, the border is unknown (None). `search`
+    has the seeds, and their endings on the present bench.
     """
     points: dict[float, ShareAt] = {}
 
     def share(place: float) -> float:
-        """Return the share of completed runs at a place, relative to the present bench; each value runs once."""
+        """Return the share of completed runs at a place on the scale of severity, relative to the present bench.
+
+        Each value of the trouble's setting runs once, and its result is stored in `points`.
+        """
         value = hazard.value(place)
         if value not in points:
             points[value] = _point(search, hazard, value)
         return points[value].share
 
     def border_at(places: Sequence[float | None]) -> HazardBorder:
-        """Return the border with the ends of its interval at places on the scale of severity, None if unknown."""
+        """Return the border and the ends of its interval in the unit that is shown, with all points that were run.
+
+        `places` are border, lower and upper end on the scale of severity, None if unknown.
+        """
         trouble = hazard.trouble
         ends = [None if p is None else hazard.shown * math.exp(-p if trouble.falling else p) for p in places]
         shown = [replace(p, value=hazard.shown * p.value) for p in points.values()]
@@ -311,6 +319,7 @@ def _border(search: _Task, hazard: Hazard) -> HazardBorder:
             return border_at([None, None, None])
         place = min(place + math.log(2), end)
     bad = place
+    # A bench without the trouble is at minus infinity, so a finite value that is good must be found.
     while math.isinf(good) and len(points) < _MOST_VALUES:
         place = bad - math.log(3)
         good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
@@ -321,6 +330,7 @@ def _border(search: _Task, hazard: Hazard) -> HazardBorder:
         if hazard.value(place) in points:
             break
         good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
+    # Both ends of the bracket are run again on all seeds.
     for value in {hazard.value(place) for place in (good, bad) if place != present and math.isfinite(place)}:
         points[value] = _point(search, hazard, value, until_clear=False)
     return border_at(_read_off(hazard, list(points.values())))
@@ -352,10 +362,11 @@ def _point(search: _Task, hazard: Hazard, value: float, *, until_clear: bool = T
 
 
 def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
-    """Return the places on the scale of severity at which three curves are one half, or None for each.
+    """Return the places on the scale of severity at which three curves are one half, None for a curve that is not.
 
-    The curves are the share of completed runs and the ends of its 95 % interval. A falling curve is fitted to the
-    points, because more of a trouble cannot help.
+    The curves are the share of completed runs, relative to the present bench, and the lower and upper ends of its 95 %
+    interval. A falling curve is fitted to the points, because more of a trouble cannot help. At the present bench, the
+    share is 1.
     """
     ordered = sorted(points, key=lambda point: hazard.place(point.value))
     places = [hazard.place(point.value) for point in ordered]
@@ -371,7 +382,7 @@ def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
 
 
 def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | None:
-    """Return the place at which a falling, piecewise linear curve is one half, or None.
+    """Return the place at which a falling, piecewise linear curve is one half; None if it starts below or stays above.
 
     Args:
         x: places (M,), rising.
@@ -386,7 +397,10 @@ def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | Non
 
 
 def _change(trial: _Task, change: SettingChange) -> Improvement:
-    """Return the improvement by a change: the runs that it rescues and loses on the seeds of its trial."""
+    """Return the improvement by a change: the runs that it rescues and loses on the seeds of its trial.
+
+    `trial` has these seeds with the change, their endings on the present bench, and the success rate there.
+    """
     present_runs = trial.completed
     pairs = paired(present_runs, [row.completed for row in outcomes(trial.job, trial.most)])
     return Improvement(
@@ -461,7 +475,9 @@ _CHOICES = (
 
 
 def _amounts(seeds: int, seconds: float, *, lockstep: bool) -> _Amounts:
-    """Return the amounts for a requested number of seeds for the rate, or the largest that are affordable.
+    """Return the numbers of runs for a requested number of seeds for the rate, or the best of `_CHOICES` in time.
+
+    In time are those whose runs take at most `_AFFORD` s; if none is, the last choice is returned.
 
     Args:
         seeds: requested seeds for the rate, 0 for as many as are affordable.
@@ -482,6 +498,8 @@ _FIRST = 8
 
 def _seconds(job: Job, amounts: _Amounts, most: int, workers: int) -> float:
     """Return the likely duration of a preflight on this machine, s, measured on its first seeds.
+
+    The first `_FIRST` seeds include the compilation; then all seeds of the job are measured.
 
     Args:
         job: first seeds of the rate.
@@ -589,6 +607,9 @@ def endings(ends: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
 def with_known_errors(itinerary: Itinerary, options: Mapping[str, Any]) -> tuple[Itinerary, list[Assumption]]:
     """Return the itinerary whose runs are drawn from the known errors of arms and bench, and a list of these errors.
 
+    Arms are drawn from the model's identified uncertainty, unless settings give other errors. If the model has none
+    and no setting draws the arms, a mismatch of `ASSUMED_MISMATCH` is assumed. Each error of the list has its source.
+
     Args:
         itinerary: itinerary of the run.
         options: settings by path that override those of the itinerary.
@@ -611,6 +632,7 @@ def with_known_errors(itinerary: Itinerary, options: Mapping[str, Any]) -> tuple
     loop, file = drawn_itinerary.loop, f"[run] of {itinerary.path.name}"
 
     def source_of(*names: str) -> str:
+        """Return "given" if one of these settings is among the options, otherwise the itinerary's [run]."""
         return "given" if any(name in set_names for name in names) else file
 
     drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
@@ -658,7 +680,7 @@ _MECHANICS = ("belt", "play", "cable_torque", "cable_stiffness", "stiction", "in
 
 
 def _notes(itinerary: Itinerary, loop: LoopSettings) -> list[str]:
-    """Return warnings about settings that make the forecast too favourable."""
+    """Return warnings about settings that make the forecast too favourable, as sentences; none if there are none."""
     measured = {"lag": loop.drive.lag, "zero_error": loop.sensors.zero_error}
     unmeasured = [name for name, value in measured.items() if not value]
     notes = (
@@ -694,7 +716,8 @@ def _searches(
             f"only {completed_runs} of {len(completed)} runs complete: too few to find borders; see the useful changes"
         )
         return []
-    # If few runs complete, more seeds give the same number of completed runs.
+    # If few runs complete, more seeds give the same number of completed runs. Each new delay needs its own code, so
+    # its search gets a block of seeds only.
     count = min(math.ceil(amounts.border * max(1.0, 0.6 * len(completed) / completed_runs)), len(completed))
     counts = [amounts.block if kind.trouble.in_periods else count for kind in kinds]
     return [
@@ -764,9 +787,9 @@ _WITH_OWN_PLANT = ("delay", "push_impulse", "zero_error", "counts", "travel", "i
 
 
 def _trials(itinerary: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Task]:
-    """Return the trials of all changes with advice, each on the same failed and completed seeds.
+    """Return the trials of all changes with advice, each on the same failed and completed seeds of the present bench.
 
-    There are none if every run completes.
+    The first `count` of either are used. There are no trials if every run completes.
 
     Args:
         itinerary: itinerary with known errors.

@@ -187,7 +187,7 @@ def why(
     announce(Cost(f"{change_count} changes", cost, 4e8 * workers, f"--why of {itinerary.name}"), yes=yes)
 
     def jobs_of_changes(group: Sequence[SettingChange]) -> Iterator[tuple[SettingChange, Job]]:
-        """Yield the changes of one kind with their jobs, without those that contradict the run's settings."""
+        """Yield the changes of one kind with their jobs of 2 · `size` runs, if they fit the run's settings."""
         for change in group:
             # The option may contradict the run's other settings.
             with suppress(InputError):
@@ -214,7 +214,8 @@ _OVERHEAD = 2.0
 def _job(plan: Plan, size: int) -> Job:
     """Return the job of a failed run's variants, the run itself first, and of as many neighbouring seeds.
 
-    `size` is the number of runs in each of these groups.
+    `size` is the number of runs in each of these groups. Variants have the seed of the failed run and a mismatch that
+    differs harmlessly, by multiples of `_HARMLESS`.
     """
     itinerary, loop = plan.itinerary, plan.itinerary.loop
     seeds = (*[loop.seed] * size, *range(loop.seed + 1, loop.seed + 1 + size))
@@ -230,7 +231,8 @@ def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
     """Return completed runs and the first run's verdict of each job, up to the first job that beats the null group.
 
     `group` has the jobs of one kind of change, and the null group's completed runs; these are empty for the null group
-    itself. If runs are sequential, the rest of a job runs only if its first run is completed.
+    itself. A job that cannot run has no completed runs, and the reason as its verdict. If runs are sequential, the rest
+    of a job runs only if its first run, the failed one with the change, is completed.
     """
     verdicts: list[tuple[tuple[bool, ...], str]] = []
     (changes_and_jobs, null_runs), failed_run = group, slice(1)
@@ -277,7 +279,8 @@ def _judged(
 ) -> TriedChange:
     """Return a change with its verdict; if it beats the null group, the failed run is simulated again with it.
 
-    The null group are the same runs without the change.
+    The null group are the same runs without the change. The change helps only if that repetition, outside lockstep, is
+    completed too.
 
     Args:
         change: the change.

@@ -339,8 +339,9 @@ def run_plan(
     itinerary, assembly = plan.itinerary, assembly or assembled(plan)
     bench_metadata = bench_record(itinerary, bench)
 
+    # `bench` is None for the simulated bench, a user's rig (`OwnObject`), or the link to a bench in real time.
     def run_loop(sink: LoopSink) -> tuple[Ticks, dict[str, str]]:
-        """Run the loop on the chosen bench with a sink, and return the ticks and the ending as metadata."""
+        """Run the loop on `bench` with a sink; return its ticks, and ending and deadlines as metadata of the log."""
         if bench is None:
             result = assembly.simulate(sink=sink, progress=progress)
             return result.ticks, outcome(result)
@@ -449,6 +450,8 @@ def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
 def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
     """Return a run as the log that it would have written, for a run without a file or for a live view.
 
+    The name of the run takes the place of a path.
+
     Args:
         plan: plan of the run.
         ticks: its ticks, none for a live view.
@@ -486,6 +489,7 @@ def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
     """
     if ticks.extras is None or not names:
         return None
+    # Numbers of the slower rate's intervals, from times in ns; the first tick of each interval is logged.
     slow_ticks = slow_numbers(np.rint(ticks.times * 1e9).astype(np.int64))
     is_logged = np.diff(slow_ticks, prepend=-1) > 0
     sigmas, values = np.split(ticks.extras[is_logged], 2, axis=1)
@@ -644,6 +648,9 @@ def _plan(log: RunLog, *, repeats: bool = True) -> Plan:
     """Return the plan of a logged run with its recorded settings, for a repetition, margins or learning.
 
     With `repeats`, the log must be of a simulated run, since a rig cannot repeat one.
+
+    Raises:
+        InputError: the log is of a rig, or lacks the plan or readable settings.
     """
     purpose = "be repeated" if repeats else "have margins"
     if repeats and (log.truth is None or "rig" in log.metadata):
@@ -667,6 +674,9 @@ def _with_options(plan: Plan, itinerary: Itinerary, change: Mapping[str, Any]) -
         plan: plan of the run with its recorded settings.
         itinerary: its itinerary without options.
         change: options to add, by path.
+
+    Raises:
+        InputError: the options are impossible, or do not fit the plan.
     """
     logged_itinerary = plan.itinerary
     pairs = {
@@ -727,6 +737,7 @@ def stored_settings(values: Mapping[str, Any], file: str) -> LoopSettings:
     """
     place, tables = Place(file), {"disturbances": {}, **values}
     kinds_by_name: Any
+    # The kind of law or filter decides which settings its table has. `frozen` makes tuples of JSON's lists.
     for name, kinds_by_name in (("controller", CONTROLLERS), ("estimator", ESTIMATORS)):
         kind = tables[name]["kind"]
         if kind not in kinds_by_name:
@@ -836,9 +847,10 @@ def export_plan(
 def _exported(
     plan: Plan, single: bool, progress: Progress, *, clock: float | None
 ) -> tuple[ControllerSource, TickProgram, Controller]:
-    """Return the controller of a plan as C, its program, and the controller.
+    """Return the controller of a plan as C source, the compiled tick that it is made from, and the controller.
 
-    The C source comes with readings and commands of a simulated run, by which a replay checks it on the target.
+    The C source comes with readings and commands of a simulated run, by which a replay checks it on the target. The run
+    has no noise on the rates, which a replay cannot know.
 
     Args:
         plan: plan of the itinerary.
@@ -954,13 +966,14 @@ class RigLink:
     def connected(
         self, itinerary: Itinerary, recipe: BenchRecipe, *, ticks: int, what: str, loop: ControlLoop | None = None
     ) -> Iterator[tuple[PacketRig, BenchProcess | None]]:
-        """Connect to the bench, check that it fits the itinerary, and yield the rig and the example bench, or None.
+        """Connect to the bench, check that it fits the itinerary, and yield the rig and the example bench's process.
 
-        The connection, and the process of an example bench, end at exit.
+        The process is None for any other bench. It and the connection end at exit. The bench's welcome gives its number
+        of arms, its period and the ticks of its longest run.
 
         Args:
             itinerary: itinerary of the run.
-            recipe: bench of that run.
+            recipe: recipe of the example bench for that run.
             ticks: number of ticks for which the rig has time.
             what: name of the motion, for messages.
             loop: loop that is rehearsed first and supplies the commands in flight; None for hanging arms.
@@ -1058,9 +1071,9 @@ def commission_rig(
 
 
 def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
-    """Return an itinerary's file, and its text with measured values in [run], which commissioning then writes.
+    """Return the file that commissioning writes for an itinerary, and its text with measured values in [run].
 
-    For a shipped itinerary the file is a copy in the working folder's `itineraries`.
+    The file is that of the itinerary, or, for a shipped one, a file of its name in the working folder's `itineraries`.
 
     Args:
         itinerary: itinerary from a TOML file.
@@ -1080,11 +1093,14 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
 
 
 def written(commissioning: Commissioning, itinerary: Itinerary) -> Commissioning:
-    """Write the measured values of a commissioning into [run] of the itinerary, unless the rig has a fault.
+    """Write the measured values of a commissioning into [run] of the itinerary, and return it with the file's path.
+
+    If the rig has a fault, there are no values. Then, or if the file cannot be written, the result has the reason in
+    `unwritten`.
 
     Args:
-        commissioning: findings on the itinerary's rig.
-        itinerary: itinerary of `measured_text`.
+        commissioning: findings on the itinerary's rig, and the measured values as `changes`.
+        itinerary: itinerary whose file, or a copy of it, is changed; see `measured_text`.
     """
     if not commissioning.changes:
         return replace(commissioning, unwritten=f"{itinerary.path} is unchanged until the rig has no fault")
