@@ -98,7 +98,15 @@ def even(chain: Chain, radius: Any) -> list[list[Any]]:
 
 @dataclass(frozen=True)
 class KantorovichBounds:
-    """Result of Newton–Kantorovich: radii of existence and uniqueness, and the step."""
+    """Result of Newton–Kantorovich, whose numbers Y and Z are those of the module's text.
+
+    Attributes:
+        residual: Y, the largest component of the Newton step, a ball.
+        contraction: Z, the largest row sum of the derivative's deviation, a ball.
+        exists: radius about the nodes within which the solution is, Y/(1 - Z).
+        unique: radius about the nodes within which there is no other solution.
+        step (2 K,): the Newton step in the coordinates y of the K charts.
+    """
 
     residual: Any
     contraction: Any
@@ -124,6 +132,7 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> KantorovichBounds:
     """
     size = 2 * len(segments)
     rows = [[flint.arb(0)] * size for _ in range(size)]
+    # Rows are the derivatives of g_k(y_k) - y_{k+1}, for the map g_k from chart k to the next one.
     for k, piece in enumerate(segments):
         for i, slopes in enumerate(piece.slope.tolist()):
             rows[2 * k + i][2 * k : 2 * k + 2] = slopes

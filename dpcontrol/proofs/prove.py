@@ -235,9 +235,11 @@ def orbit_certificate(
         return None
     radius_of_existence = max(100 * float(bounds.exists), _LEAST_RADIUS)
     durations = [leg.duration for leg in legs]
+    # Each duration is an unknown within the radius; twice their sum leaves a margin.
     reach = Fraction(radius_of_existence) * 2 * len(durations)
     content = {
         "nodes": [leg.first.node for leg in legs],
+        # Column 2 of the basis is the flow. Its scaled direction is the normal of the node's section.
         "normals": [
             [float(row[2]) / s**2 for row, s in zip(leg.first.basis, system.scale.tolist(), strict=True)]
             for leg in legs
@@ -384,6 +386,10 @@ def prove_walk(
 ) -> Proof:
     """Prove existence of a walk's orbit, and its symbols; that of a closed walk is unique.
 
+    `prove_network` proves an open walk. For a closed one, `work` returns the proof at the precision that `attempted`
+    sets, and raises NotClosed at the first step that does not close. It gives each symbol the segments (`stretches`)
+    between two joints, which are the segments in the middle of the stops, and its marked node on the section.
+
     Args:
         walk: computed orbit of a walk.
         energy: exact energies, J.
@@ -460,7 +466,12 @@ def prove_network(
 ) -> Proof:
     """Prove connections or an open walk by covering relations, or the graph of all connections with its entropy.
 
-    A connection that is not proved fails the proof, except in a graph, which is then proved without it.
+    A connection that is not proved fails the proof, except in a graph, which is then proved without it. Of two links
+    whose chains are not proved to avoid each other's box on the section, a graph has the first one only.
+
+    `work` returns the proof of the links along `routes` at the precision that `attempted` sets. It raises NotClosed if
+    the boxes of an orbit do not cover one another, or if orbits of different walks are not proved to differ. `ends`
+    holds the indices of the two orbits that a route leaves and joins.
 
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
