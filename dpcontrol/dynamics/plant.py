@@ -261,8 +261,9 @@ class _EquationsOfMotion:
 def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds) -> _EquationsOfMotion:
     """Return the motion of arms, cart, drive and components at a level.
 
-    A component with a motor stands between drive and cart and gives the cart its acceleration. `count` is the number of
-    arms, `friction` their laws of friction in addition to the viscous one.
+    A component with a motor stands between drive and cart and gives the cart its acceleration. Modes are numbers that
+    components choose at the beginning of a step, such as the sign of a joint's sliding. `count` is the number of arms,
+    `friction` their laws of friction in addition to the viscous one, and `components` are the components' classes.
     """
     symbols, free_cart, a = _symbols(), level is PlantLevel.FORCE, ca.SX.sym("a")
     parts = _parts(count, friction, free_cart=free_cart, components=components)
@@ -274,8 +275,10 @@ def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], compo
     motor_drives = [term.drive for component, term in zip(components, terms, strict=True) if component.motor]
     driven_acceleration = motor_drives[0] if motor_drives else demand
     if free_cart:
+        # The drive's force F is M a.
         moving = ca.substitute(parts.free_acceleration, symbols.force, symbols.mass * driven_acceleration)
     else:
+        # On a motor's belt, gravity pulls the cart along the track; an ideal drive holds it.
         driven_acceleration = driven_acceleration + symbols.pull if motor_drives else driven_acceleration
         moving = ca.substitute(parts.free_acceleration, parts.acceleration, driven_acceleration)
     modes, earlier_modes = ca.SX(0, 1), ca.SX(0, 1)
