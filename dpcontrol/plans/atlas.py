@@ -340,6 +340,7 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
     strands = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings)]
 
     def piece(cut_piece: Piece) -> AtlasPiece:
+        """Return the record of one piece of the cut, with the points of its time-reversed image on the stable tube."""
         reversed_states = (cut_piece.states - orbit.centre) @ orbit.reverser.T + orbit.centre
         return AtlasPiece(
             **fields_of(Piece, cut_piece), stable_points=section_points(system, cut.section, reversed_states)
@@ -459,7 +460,8 @@ def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
 def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
     """Return a record's entry in the header, and put its arrays into `arrays` under `prefix` and their names.
 
-    Entries of a list "orbits" have the prefix "orbit_0_" and so on. A single state or point is in the header.
+    `record` is an atlas or one of the dataclasses in it. Entries of a list "orbits" have the prefix "orbit_0_" and so
+    on. A single state or point is in the header.
     """
     entry: dict[str, Any] = {}
     for name, value in fields_of(type(record), record).items():

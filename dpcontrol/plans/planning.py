@@ -273,6 +273,9 @@ def _kept_walk(
 ) -> Reference:
     """Return the reference of a walk whose stops are stays on sustained orbits, joined by flights.
 
+    A flight follows one connection or more from orbit to orbit. `chain` are the walk's connections, and `solver` finds
+    their shadowing orbits. The lift of a flight (n,) are radians that continue the angles of the flight before.
+
     Raises:
         GoalMissed: a sustained orbit, or a flight's shadowing orbit or reference, was not found.
     """
@@ -413,6 +416,9 @@ def _assembled(
     orbits: dict[str, SustainedOrbit],
 ) -> Reference:
     """Return the reference of a walk with kept stops, joined from its stays and flights, with the content of its plan.
+
+    A stay repeats the period of its sustained orbit, with the whole turns of the flights beside it. There is one stay
+    before each flight and one after the last.
 
     Args:
         itinerary: itinerary of the walk.

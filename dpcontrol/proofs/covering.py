@@ -177,8 +177,8 @@ class OrbitBoxes:
 def orbit_boxes(data: Mapping[str, Any], enclosure: Enclosure) -> OrbitBoxes:
     """Return the boxes about a periodic orbit, after proving that they cover one another and have invariant cones.
 
-    The cone of growing directions has slopes of at most one (s over u) at the first box. It is invariant if it returns
-    to itself after a round, in which lengths grow at least twofold. The same holds backward for shrinking directions.
+    The cone of growing directions has slopes (s over u) of at most one. It is invariant if its images stay in it over a
+    round, in which lengths must more than double. The same must hold backward for shrinking directions (u over s).
 
     Args:
         data: charts, half-widths and durations.

@@ -43,15 +43,19 @@ Indices = NDArray[np.intp]
 def interval_derivatives(interval: ca.Function, *, columns: Indices, size: int) -> dict[str, Any]:
     """Return the nonlinear program of a mesh and its derivatives for `casadi.nlpsol`, from those of one interval.
 
-    The derivatives are the options grad_f, jac_g and hess_lag. The program has x, f, g and p: the lengths of the
-    intervals (N,), s, and the guess (ng * N,), interval by interval.
-
-    Constraints are ordered by interval.
+    The program has the variables x (size,), the cost f, the constraints g, ordered by interval, and the parameters p:
+    the lengths of the N intervals, s, then their guesses, interval by interval. Its derivatives are the options grad_f
+    (of the cost), jac_g (of the constraints) and hess_lag (second derivatives of the cost times sigma plus the
+    constraints times lam, the upper triangle).
 
     Args:
-        interval: (v, length, guess) -> (constraints, cost) of one interval, SX.
+        interval: (v, length, guess) -> (constraints, cost) of one interval, SX. Its variables v (nv,) are scaled, and
+            its length is in s.
         columns: indices (nv, N) of each interval's v among the variables. Neighbours can share the last block of v.
         size: number of variables.
+
+    Returns:
+        "program" and "options", as `casadi.nlpsol` takes them.
     """
     nv, intervals = columns.shape
     v, length = ca.SX.sym("v", nv), ca.SX.sym("length")
@@ -102,7 +106,10 @@ def interval_derivatives(interval: ca.Function, *, columns: Indices, size: int) 
 
 
 def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int, int]) -> ca.MX:
-    """Return the sparse matrix with values (K,) at (rows, columns) (K,); values at the same place are added."""
+    """Return the sparse matrix of this shape with values (K,) at (rows, columns) (K,), of which equal ones are added.
+
+    The matrices of single intervals overlap where neighbours share variables.
+    """
     places = columns * shape[0] + rows
     order = np.argsort(places, kind="stable")
     is_first = np.concatenate([[True], np.diff(places[order]) != 0])
@@ -251,10 +258,13 @@ class _Program:
         self.nx, self.nz = problem.equations.dimension, problem.pendulum_dimension
         self.count, self.intervals = len(self.method.points), len(self.mesh) - 1
         self.scale = state_scale(self.nx, problem.limits)
+        # Fatrop needs separate stages. In others, an interval's last support value can be shared with the next one, so
+        # that `free` values remain for each interval.
         self.staged = settings.solver == "fatrop"
         self.shared = self.method.closes and not self.staged
         self.free = self.count - 1 if self.shared else self.count
         self.stretches = problem.ends.stretch > 0
+        # The input is continuous if intervals share their points or the jerk is limited.
         self.coupled = self.method.shares_inputs or limits.jerk > 0
         has_couplings = self.stretches or self.coupled or problem.ends.closing is not None
         if self.staged and has_couplings:
@@ -288,8 +298,9 @@ class _Program:
     def _assemble(self) -> None:
         """Build the program with casadi's own derivatives, for couplings of more than neighbouring intervals.
 
-        Such couplings are a closed or free motion, a given energy, continuous inputs, or a solver that needs separate
-        stages.
+        Such couplings are a closed motion, a free duration, a given energy, continuous inputs, or a solver that needs
+        separate stages. A stage holds the scaled variables of one interval, `last` the state at the end, and `factor`
+        is that of the duration.
         """
         nx, count, n, free = self.nx, self.count, self.intervals, self.free
         stages = ca.MX.sym("stages", nx * (1 + free) + count, n)
