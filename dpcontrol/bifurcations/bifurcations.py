@@ -942,6 +942,7 @@ def find_bifurcations(
     start, born = _beginning(course, (source, target), (low, high), settings.closest)
     sweep = Sweep(course, source, target, crossings, settings)
     grid = [float(e) for e in np.linspace(start, high, settings.samples)]
+    # The factor prevents another halving due to rounding.
     narrowest = 1.001 * (grid[1] - grid[0]) / 2**settings.halvings
     k = 0
     while k < len(grid) - 1:
@@ -958,6 +959,7 @@ def find_bifurcations(
     pairs = list(pairwise(grid))
     unexplained = tuple(_unexplained(sweep, a, b) for a, b in pairs if not _adds_up(sweep, a, b))
     events = _with_counts(sweep, [c for a, b in pairs for c in sweep.between(a, b).changes], counts)
+    # From this value on, no search is complete.
     scatters_from = next((c.value for k, c in enumerate(counts) if not any(d.complete for d in counts[k:])), None)
     return BifurcationSearch(
         course=course,

@@ -424,7 +424,13 @@ class LinkProblem:
 
 @dataclass(frozen=True)
 class LinkCurve:
-    """The curve of a link's continuation (φ_u, φ_s, T, H), a problem of module continuation."""
+    """The curve of a link's continuation (φ_u, φ_s, T, H), a problem of module continuation.
+
+    Attributes:
+        problem: matching of two tubes.
+        link: a link with the branches and turns of the curve.
+        units: factor on the scaled gap, the residual of the curve's equations.
+    """
 
     problem: LinkProblem
     link: Link

@@ -391,6 +391,7 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
     rates = v[:n] + changes[:n] + jumps + ca.jacobian(parts.free_acceleration, parts.acceleration) * knock
     next_state = ca.vertcat(q[:n], rates, q[n], v[n] + cart)
     if level is not PlantLevel.CART:
+        # The loop demands a = (w - ẋ)/τ, so it reacts to a jump of ẋ.
         next_state = ca.vertcat(next_state, a - cart / symbols.lag)
     parameters = _parameters(count, level, friction)
     inputs = [_state(q, v, a, level), impulses, jumps, knock, parameters]

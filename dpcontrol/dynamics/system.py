@@ -450,6 +450,7 @@ def described_system(
             if label not in choices:
                 raise InputError(f"between {pair} of {name} names {label!r}: {suggest(label, choices)}")
         sections[pair] = named_sections[key]
+    # The rise over a tenth of the scale is a hundredth of that over the scale, if it is quadratic.
     energy_rises = numeric.hamiltonian(first_saddle + np.diag(scale) / 10) - numeric.hamiltonian(first_saddle)
     return System(
         name=name,

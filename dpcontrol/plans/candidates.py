@@ -124,6 +124,9 @@ class Way:
     def flights(self, durations: Array, *, fixed: bool) -> Iterator[Trajectory]:
         """Yield flights that reach the other end, as motions on a coarse mesh.
 
+        A flight is an optimal motion of arms and cart whose inputs are constant in `STEPS` steps. It is sought from
+        each of the first inputs `_PUSHES`, sines of the cart's acceleration, for each first duration.
+
         Args:
             durations: first durations (D,), s.
             fixed: True to keep these durations, with the least effort; otherwise time counts.

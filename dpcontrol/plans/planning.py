@@ -94,6 +94,7 @@ def planned(
     )
     reference, begins = joined([piece.reference for piece in pieces])
     content = content_of_pieces(itinerary, pieces, begins)
+    # The last of the begins is the end.
     solved_transfers = [
         (p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None
     ]

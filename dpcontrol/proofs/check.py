@@ -574,6 +574,8 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> C
 def _checked_pieces(data: Mapping[str, Any], progress: Progress) -> CertificateCheck:
     """Return the verdict on a certificate of several intervals of energies, which must be proved and leave no gap.
 
+    `data` is the certificate's content by key; each of its "pieces" is the certificate of one interval.
+
     Raises:
         NotClosed: the intervals leave a gap, or the statement is not that of the intervals.
     """

@@ -467,7 +467,8 @@ def prove_network(
     """Prove connections or an open walk by covering relations, or the graph of all connections with its entropy.
 
     A connection that is not proved fails the proof, except in a graph, which is then proved without it. Of two links
-    whose chains are not proved to avoid each other's box on the section, a graph has the first one only.
+    whose chains are not proved to avoid each other's box on the section, a graph has the first one only. Walks on the
+    links of a graph are realised without the links that are left out.
 
     `work` returns the proof of the links along `routes` at the precision that `attempted` sets. It raises NotClosed if
     the boxes of an orbit do not cover one another, or if orbits of different walks are not proved to differ. `ends`
@@ -495,6 +496,7 @@ def prove_network(
     stated = f"{system.name} at {energy}: {network_stated(kind, routes)}"
 
     def work() -> Proof:
+        """Return the proof of the links between the orbits; NotClosed is raised at the first step that fails."""
         surface, failed = surface_of(system, energy), list[str]()
         enclosure = enclosure_of(surface, system.scale, settings.links)
         numbers = [orbit_data(orbit, settings.box, tilted=energy.within > 0) for orbit in orbits.values()]
@@ -517,7 +519,6 @@ def prove_network(
             except NotClosed as error:
                 failed.append(f"{route.name}: {error}")
         if kind == "graph":
-            # Walks on these links are realised without the others.
             apart = network.apart()
             failed += [f"{proved[k].name}: not proved to be apart" for k in range(len(proved)) if k not in apart]
             link_figures, proved = [link_figures[k] for k in apart], [proved[k] for k in apart]

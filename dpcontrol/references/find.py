@@ -376,6 +376,7 @@ def find_reference(
     limits, iterations, seconds, round_number = problem.limits, 0, 0.0, 0
 
     def result(solved: Solved, ending: ReferenceEnding) -> Reference:
+        """Return a solution as the reference of the whole search, which `ending` concludes."""
         return Reference.of(
             solved.trajectory, problem.limits, ending=ending, converged=ending.cause is ReferenceCause.CONVERGED,
             max_error_between_nodes=ending.error, constraint_violation=solved.violation, iterations=iterations,

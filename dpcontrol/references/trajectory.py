@@ -175,6 +175,7 @@ def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Ar
     lengths = np.diff(trajectory.mesh)
     dense_states = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), trajectory.states)
     coefficients = power_coefficients(method.points, trajectory.inputs[..., 0])
+    # In powers of the time from the interval's start instead of its share τ.
     coefficients = coefficients / lengths[:, None] ** np.arange(len(method.points))
     errors = np.full(len(lengths), np.inf)
     for i, length in enumerate(lengths):
