@@ -160,8 +160,8 @@ def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
 def _turn_from(problem: LinkProblem, extreme: PathPoint, before: Link, after: Link, reach: float) -> Located | None:
     """Return the bifurcation at which a path turns back between two links, solved from a point beside it, or None.
 
-    It is a saddle-node, where two connections meet and vanish, or a pitchfork, where a mirror pair meets a symmetric
-    connection. A symmetric connection, which a reverser (a matrix of time reversal) maps to itself, turns at a
+    At a saddle-node, two connections meet and vanish. At a pitchfork, a mirror pair meets a symmetric connection. A
+    symmetric connection, which a reverser (a matrix of time reversal) maps to itself, turns at a
     saddle-node only.
 
     Args:
@@ -299,7 +299,7 @@ def _middle_touch(problem: LinkProblem, first: PathPoint, second: PathPoint) -> 
     """Return the event at which a symmetric connection's midpoint is tangent to the section, or None without one.
 
     A symmetric connection is mapped to itself by a reverser, a matrix of time reversal, and its midpoint may stay on
-    the section. The event is a change of sign of the height's rate ḣ there, where one crossing becomes three. The
+    the section. The event is a change of sign of the height's rate ḣ there: one crossing becomes three. The
     result is None if the midpoint is off the section, ḣ keeps its sign, or the event is not between the two points.
     """
     reverser = problem.symmetry(first.link)

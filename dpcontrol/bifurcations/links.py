@@ -664,6 +664,9 @@ class Profile(Brief):
 def fly_whole(problem: LinkProblem, link: Link, value: float) -> tuple[Array, Array]:
     """Return the whole flight of a connection from the seed of its source's tube to that of its target's.
 
+    A seed is a state at a small distance from the periodic orbit, along its unstable vector or the image of this vector
+    under time reversal.
+
     Args:
         problem: matching of two tubes.
         link: solution.

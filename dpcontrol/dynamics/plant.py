@@ -158,9 +158,10 @@ def _symbols() -> SimpleNamespace:
 def _component_frames(count: int, components: Kinds) -> tuple[ComponentFrame, ...]:
     """Return a frame for each component with the symbols of its states, parameters and modes.
 
-    Arms and cart are missing in these frames; callers put theirs in. The symbols are the same at each call, so that
-    expressions of different functions can be combined. `count` is the number of arms, and `components` are the classes
-    of the components.
+    Modes are numbers that are chosen at the beginning of a step, such as the sign of a joint's sliding. Arms and cart
+    are missing in these frames; callers put theirs in. The symbols are the same at each call, so that expressions of
+    different functions can be combined. `count` is the number of arms, and `components` are the classes of the
+    components.
     """
     no_symbols, frames = ca.SX(0, 1), []
     for place, component in enumerate(components):
@@ -407,8 +408,8 @@ def plant_step(
 
     The code is built once per process.
 
-    With components, they settle the next state, as stiction stops a joint. Their guards follow it in the output: a
-    negative one tells the simulated bench that a mode ended within the step.
+    With components, they settle the next state, as stiction stops a joint. Their guards follow it in the output. A
+    negative one tells the simulated bench that a mode, such as the sign of a joint's sliding, ended within the step.
 
     Args:
         count: number n of arms.
@@ -443,7 +444,9 @@ def plant_modes(
 ) -> Compiled | None:
     """Return the compiled function that chooses the components' modes at the beginning of a step.
 
-    Its inputs are those of `plant_step`. None if the components have no modes.
+    A mode is a number that is constant during a step, such as the sign of a joint's sliding. The inputs of the function
+    are those of `plant_step`: state, inputs, duration and parameters. The result is None if the components have no
+    modes.
 
     Args:
         count: number n of arms.

@@ -351,7 +351,11 @@ class PageSession:
         """
 
         def on_report(word: str, value: str) -> None:
-            """Handle one report of the job's process, unless another job has replaced it."""
+            """Handle one report of the job's process, unless another job has replaced it.
+
+            `word` is "progress", "remark", "show:KIND" for the page, "done", "failed" or "died", and `value` its JSON;
+            of "died" it is the exit status in words.
+            """
             if self._jobs.get(slot) is not job:
                 return
             if word.startswith("show:"):

@@ -362,7 +362,9 @@ def _strands(
 ) -> Iterator[tuple[int, float, Array]]:
     """Yield trajectories of a tube that reach the section, spread evenly over the phases, for drawing.
 
-    Each is the branch (±1), the phase of its seed, and its states (M, N) from the seed to the section.
+    Each is the branch (±1), the phase of its seed, and its states (M, N) from the seed to the section. A seed is a
+    state near the orbit, from which the trajectory leaves it; the cut holds the phases of seeds that reach the section.
+    None are yielded for a branch that does not.
     """
     pieces = [piece for piece in cut.pieces if piece.branch == branch]
     if not pieces:

@@ -110,6 +110,7 @@ def _expanded(part: WalkPart, saddles: Sequence[str]) -> WalkPart:
 def _law_table(kind: Any) -> Table:
     """Return the table [controller] of a law, which makes its settings and the name of the law that keeps the stops.
 
+    Stops are stays on the sustained orbits of a walk, for which the file may name another law ("none" by default).
     `kind` is the class of the law's settings.
     """
 
@@ -186,8 +187,8 @@ def _completed(document: Mapping[str, Any]) -> dict[str, Any]:
 def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
     """Return a run's settings with the values of some paths (`dpcontrol.plans.overrides`) replaced.
 
-    `plant` and `seconds` change an itinerary; see `Itinerary.with_run`. A controller that cannot hand over to a keeper
-    of stops follows the whole reference.
+    `plant` and `seconds` change an itinerary; see `Itinerary.with_run`. The setting `keep` names a law that keeps the
+    sustained orbits of a walk's stops. A controller that cannot hand over to it follows the whole reference.
 
     Args:
         loop: settings of the run.
@@ -564,6 +565,8 @@ def _itinerary(
 
 def _check_together(itinerary: Itinerary) -> None:
     """Reject ends, a level of the reference or a keeper of stops that do not fit the parts.
+
+    The keeper is the law, named by `keep`, that stays on the sustained orbits of a walk's stops.
 
     Raises:
         InputError: names the first setting that does not fit.

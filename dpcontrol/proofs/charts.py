@@ -66,6 +66,9 @@ class SectionChart:
     def lift(self, field: Field, energy: Any, y: Vector) -> tuple[Vector, Any]:
         """Return the states of given energy over a box of coordinates y, in which the energy determines z.
 
+        A state is x̄ + u y_1 + s y_2 + w z, with the chart's node x̄, the growing and shrinking directions u and s, and a
+        direction w in which the energy changes.
+
         Args:
             field: programs of the system.
             energy: ball, in the system's unit.

@@ -196,6 +196,9 @@ def enclosure_of(surface: Surface, scale: Array, settings: FlowSettings) -> Encl
 def orbit_data(orbit: LyapunovOrbit, radius: float, *, tilted: bool) -> dict[str, Any]:
     """Return charts, half-widths and durations of boxes around a periodic orbit, each of which must cover the next one.
 
+    A chart is a node of the orbit with the basis of the section through it. A box covers the next one if its image
+    under the flow is longer than it in the growing direction and narrower in the shrinking one.
+
     Args:
         orbit: periodic orbit.
         radius: largest half-width of the boxes, in the charts' coordinates.
@@ -294,7 +297,9 @@ def _carried(chart: Mapping[str, Any], base: Array) -> Array:
 def transversality(surface: Surface, connection: Connection, proved: CoveringLink, orbits: Sequence[OrbitBoxes]) -> Any:
     """Enclose the angle between both tubes' cuts in (q, p/p₀) at the first mark of a link, deg.
 
-    The result is None if the cones are not proved to be disjoint. Covering relations do not need it.
+    The tangents of the unstable manifold lie in a cone that is propagated forward from the source orbit's boxes, and
+    those of the stable one in a cone propagated backward from the target's. The result is None if the cones are not
+    proved to be disjoint. Covering relations do not need it.
 
     Args:
         surface: energy surface.

@@ -309,6 +309,8 @@ class Network:
     def check_marks(self) -> None:
         """Prove that no step along other boxes meets the mark of a link, which includes that links are distinct.
 
+        The mark of a link is its box on its section.
+
         Raises:
             NotClosed: a step is not proved to avoid a mark, or a link has more than one mark.
         """
@@ -319,9 +321,9 @@ class Network:
             raise NotClosed(f"{chain_name} is not proved to avoid the box of link {k} on its section")
 
     def passages(self) -> Iterator[tuple[int, int]]:
-        """Yield each link and the number of a chain that is not proved to avoid its mark.
+        """Yield each link and the number of a chain that is not proved to avoid its mark, its box on its section.
 
-        Links count from 1, and the last orbit has number 0.
+        Links count from 1, and the last orbit has number 0. The legs beside a link's own mark are not tested.
         """
         chains = [row.legs for row in (*self.orbits, *self.links)]
         for k, link in enumerate(self.links, start=1):

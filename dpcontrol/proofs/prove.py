@@ -219,8 +219,9 @@ def orbit_certificate(
 ) -> dict[str, Any] | None:
     """Return the certificate of a closed chain with its claims on symbols.
 
-    Only chains with proved multipliers have one. Its radii include a margin for the enclosures of module check, which
-    confirms its bounds.
+    A chain is a closed sequence of legs, the flights from node to node of an orbit. The result is None without a proof
+    that a multiplier is off the unit circle, or without a model file. Its radii include a margin for the enclosures of
+    module check, which confirms its bounds.
 
     Args:
         system: system of the orbit.
@@ -266,8 +267,11 @@ def proved_chain(
 ) -> tuple[list[ChartSegment], KantorovichBounds]:
     """Prove that a chain contains exactly one orbit, and return its enclosures and the Newton step.
 
+    A chain is a closed sequence of legs, the flights from node to node of a computed orbit. The orbit is sought in
+    balls of one radius about all nodes; a radius closes if Newton–Kantorovich proves a solution in them.
+
     Args:
-        surface: energy surface.
+        surface: equations and energy.
         chain: legs (K,).
         settings: radii and integrator.
         progress: called with a label and the completed share.
@@ -579,7 +583,8 @@ def over_range(energies: Energies, prove: Callable[[Energies], Proof]) -> Proof:
 def network_claims(network: Network, kind: str) -> dict[str, Any]:
     """Return the fewest wraps and the entropy of a graph or a horseshoe, after proving that its walks differ.
 
-    The check confirms the entropy with its own enclosures of durations.
+    Wraps are rounds about an orbit between two links, and the entropy is the growth rate of the number of walks. The
+    check confirms the entropy with its own enclosures of durations.
 
     Args:
         network: proved links.

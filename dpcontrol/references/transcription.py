@@ -158,8 +158,11 @@ def interval_function(
 ) -> ca.Function:
     """Return the function that gives the constraints and the cost of one interval, in scaled states.
 
-    It maps (start, values, inputs, length, guess) to (defects, end, cost, jerk). values (nx, K): at the support but for
-    its first place; guess (nz, K): at the points.
+    It maps (start, values, inputs, length, guess) to (defects, end, cost, jerk). In an interval, the state is a
+    polynomial through its values at K + 1 places, the support, of which the first is the start and `values` (nx, K) are
+    the others. At K collocation points, its derivative must equal the equations' rate; `defects` are the differences in
+    scaled states, times the length. `inputs` (1, K) and `guess` (nz, K) are given at the points, `end` (nx,) is the state at the
+    interval's end, and `jerk` (K, 1) the derivative of the input.
 
     Args:
         equations: equations with nx states, nz of them of the pendulum.
@@ -204,7 +207,9 @@ def _by_interval(
 ) -> dict[str, Any]:
     """Return the program of a mesh whose constraints couple neighbouring intervals only; see `interval_derivatives`.
 
-    Meshes with equal numbers of intervals have the same program, so that repeated transfers share one.
+    Meshes with equal numbers of intervals have the same program, so that repeated transfers share one. The variables v
+    of an interval are its start, its inner values and its inputs, followed by the start of the next interval. If the
+    method's last value is at the interval's end (`closes`), it is this next start.
 
     Args:
         equations: equations with a cart.

@@ -365,6 +365,8 @@ class ShadowingOrbit(Timed, Documented, Concluded):
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:
     """Return the number of wraps that an orbit makes at each stop, from the time between section crossings.
 
+    A stop is a stay near the periodic orbit between two connections, and wraps are the whole periods of this stay.
+
     Args:
         connections: the walk. Stop k lies between connections k and k + 1.
         stays: times (S,) between the section crossings on either side of each of the S stops, s.
@@ -393,6 +395,9 @@ def shadow(
     rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
     """Return the orbit that follows the connections of a walk in order, with given wraps at the stops between them.
+
+    At a stop, the orbit stays near the periodic orbit between two connections; its wraps are periods of this orbit. If
+    Newton's method does not converge to this walk, the result has the cause and is not `converged`.
 
     Args:
         connections: connections of the walk.
@@ -677,6 +682,9 @@ class WalkSolver:
 
     def fewest(self, chain: Sequence[Connection], *, periodic: bool = False) -> FewestWraps:
         """Search for the fewest wraps at each stop that give an orbit.
+
+        Wraps are the periods for which the orbit stays near the periodic orbit between two connections. The search
+        starts with none. After a failure, one wrap is added at the stops beside the failed symbol.
 
         Args:
             chain: connections of the walk.

@@ -98,6 +98,8 @@ MOST_NESTED = 20
 def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     """Return a symbol of a walk from its text: its saddles, sense, hits and section, or its parts if it is composite.
 
+    The hits of a connection are the numbers of the section crossings at which the unstable and the stable tube meet.
+
     Args:
         text: the symbol.
         saddles: allowed orbit names; "outer-rotating" also allows "outer-rotating-2" and so on.
@@ -201,6 +203,9 @@ def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ..
 
 def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """Return the walk with each composite edge replaced by the elementary symbols and wraps that it consists of.
+
+    A composite edge is a walk in brackets that serves as one symbol, such as "(A)·2·(B)" with two wraps, the periods
+    near the orbit between A and B.
 
     Args:
         symbols: the walk.

@@ -234,7 +234,7 @@ def resolve(texts: Sequence[str], edges: Edges, loss: Loss | None = None) -> Wal
     """Return the connections that the symbols of a walk select at one energy, one for each symbol.
 
     Args:
-        texts: symbols of the walk.
+        texts: symbols of the walk, such as "down-up +", a connection's name or a composite edge.
         edges: connections at one energy.
         loss: function from a connection to its cost for the feedback, such as its peak gain. Connections of more than
             twice the smallest cost are not selected, see `choose`.
