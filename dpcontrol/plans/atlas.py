@@ -141,7 +141,8 @@ def make_atlas(
 ) -> Atlas:
     """Return a model's atlas at an energy, from the cache if possible.
 
-    The atlas is cached unless a search of it ended early; its file is that in the cache.
+    An atlas holds the equilibria, the Lyapunov orbits, the cuts of their tubes and the connections. It is cached unless
+    a search of it ended early; its file is that in the cache.
 
     Args:
         model: model, or a conservative system.

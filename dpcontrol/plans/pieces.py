@@ -396,8 +396,8 @@ def ways_round(apart: Array) -> list[Array]:
 def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, progress: Progress) -> SolvedPiece:
     """Return the piece between two walks about one saddle, which may have different energies.
 
-    It leads from the last orbit of one walk to the first orbit of the next, within about two periods. The guess mixes
-    both orbits.
+    It leads from the last orbit of one walk to the first orbit of the next, within two to three periods, so that it
+    ends in phase. The guess mixes both orbits. If the reference does not converge, its ending names the two energies.
 
     Args:
         itinerary: arms, limits and settings.

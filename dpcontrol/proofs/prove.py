@@ -591,7 +591,8 @@ def network_claims(network: Network, kind: str) -> dict[str, Any]:
         kind: "connection", "walk", "horseshoe" or "graph".
 
     Returns:
-        "wraps", "entropy" per time unit, and "least", the fewest wraps (L, L) between links; nothing for other kinds.
+        "wraps", the largest of the fewest wraps between two links; "entropy" per time unit; and "least", the fewest
+            wraps (L, L) between links. Empty for the other kinds.
 
     Raises:
         NotClosed: orbits of different walks are not proved to separate.

@@ -161,8 +161,8 @@ def interval_function(
     It maps (start, values, inputs, length, guess) to (defects, end, cost, jerk). In an interval, the state is a
     polynomial through its values at K + 1 places, the support, of which the first is the start and `values` (nx, K) are
     the others. At K collocation points, its derivative must equal the equations' rate; `defects` are the differences in
-    scaled states, times the length. `inputs` (1, K) and `guess` (nz, K) are given at the points, `end` (nx,) is the state at the
-    interval's end, and `jerk` (K, 1) the derivative of the input.
+    scaled states, times the length. `inputs` (1, K) and `guess` (nz, K) are given at the points, `end` (nx,) is the
+    state at the interval's end, and `jerk` (K, 1) the derivative of the input.
 
     Args:
         equations: equations with nx states, nz of them of the pendulum.
@@ -471,7 +471,8 @@ def solve(
         first: trajectory to start from.
         settings: solver and weights.
         limits: limits of the cart at all nodes.
-        search: kind of the search that starts from `first`.
+        search: "fresh", "warm" if `first` is a solution on another mesh, "far" if it is far from the solution, or
+            "rough" for a solution that is only compared with others.
 
     Returns:
         The solution, or the solver's last iterate with the reason for its end.
