@@ -101,22 +101,25 @@ def _located(
 ) -> Located | None:
     """Return the solution of equations(link, H) = 0 by Newton's method as an event, or None if it does not converge.
 
-    One of the equations may be redundant. Derivatives are central differences.
+    A link describes a connection by the phases of its two seeds, on the orbits that it leaves and joins, and by its
+    duration T; H is the followed quantity. One of the equations may be redundant. Derivatives are central differences.
 
     Args:
         problem: matching of two tubes.
         kind: kind of the event, such as "saddle-node".
         equations: function from a link and the followed quantity H to the residuals.
-        placed: function from unknowns, the duration last, to a link.
-        guess: unknowns of the link and the followed quantity.
+        placed: function from unknowns to a link: one or two phases (1 for a period) and the duration, s.
+        guess: these unknowns and the followed quantity.
     """
     # Phases, duration in s, followed quantity.
     steps = 1e-5 * np.array([*np.ones(len(guess) - 2), guess[-2], problem.course.scale])
 
     def value_at(unknowns: Array) -> Array:
+        """Return the residuals of the equations at unknowns, of which the followed quantity H is the last one."""
         return equations(placed(unknowns[:-1]), float(unknowns[-1]))
 
     def linearised(unknowns: Array) -> tuple[Array, Array]:
+        """Return the residuals and their Jacobian by the unknowns."""
         return value_at(unknowns), differenced(value_at, unknowns, steps)
 
     # Solutions must be within a tenth of the guess. Orbits may not exist farther away.
@@ -129,6 +132,9 @@ def _located(
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
     """Return the saddle-node or pitchfork at which a path turns after one of its points, or None if it is not found.
+
+    A path turns where the followed quantity has an extremum along it. The event is solved from the two points beside
+    the turn, the one farther from the path's start first. If this fails, the interval around the turn is bisected.
 
     Args:
         problem: matching of two tubes.
@@ -153,6 +159,10 @@ def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
 
 def _turn_from(problem: LinkProblem, extreme: PathPoint, before: Link, after: Link, reach: float) -> Located | None:
     """Return the bifurcation at which a path turns back between two links, solved from a point beside it, or None.
+
+    At a saddle-node, two connections meet and vanish. At a pitchfork, a mirror pair meets a symmetric connection. A
+    symmetric connection, which a reverser (a matrix of time reversal) maps to itself, turns at a
+    saddle-node only.
 
     Args:
         problem: matching of two tubes.
@@ -187,9 +197,14 @@ def _near(event: Located | None, value: float, reach: float) -> Located | None:
 
 
 def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
-    """Return the saddle-node near a point of a path, the solution of F = 0 and σ = 0, or None."""
+    """Return the saddle-node near a point of a path, or None if Newton's method does not converge.
+
+    F is the gap between both tubes at the connection's middle, zero for a connection, and σ its tangency, zero if the
+    tubes touch. Both are zero at the saddle-node.
+    """
 
     def equations(link: Link, value: float) -> Array:
+        """Return F and σ of a link at a value of the followed quantity."""
         match = problem.match(link, value)
         return np.append(match.gap, match.tangency)
 
@@ -199,8 +214,9 @@ def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
 def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: bool) -> Located | None:
     """Return the event of a symmetric connection near a point of a path, or None if Newton's method does not converge.
 
-    The connection's middle stays on the fixed set of the reverser with index `which`. The event is a pitchfork (b = 0)
-    if `shedding`, which means that a mirror pair branches off, and otherwise a saddle-node (a = 0).
+    The connection's middle stays on the fixed set of the reverser, a matrix of time reversal, with index `which`. The
+    event is a pitchfork if `shedding`, which means that a mirror pair branches off, and otherwise a saddle-node. The
+    test functions that are zero there are `shedding` and `fold` of `LinkProblem.mirror`.
     """
     link = point.link
     image = problem.mirrored(link, which)
@@ -209,9 +225,11 @@ def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: 
     phase = link.phases[0] + phase_gap(image.phases[0], link.phases[0]) / 2
 
     def equations(link: Link, value: float) -> Array:
+        """Return the gap off the fixed set and the test function of a link at a value of the followed quantity."""
         match = problem.mirror(link, value, which)
         return np.append(match.miss, match.shedding if shedding else match.fold)
 
+    # The unknowns are φ_u, T and H: φ_s of a symmetric link equals φ_u, or for the second reverser φ_u + ½.
     kind, guess = "pitchfork" if shedding else "saddle-node", np.array([phase, link.duration, point.value])
     return _located(
         problem, kind, equations, lambda unknowns: link.at([unknowns[0], unknowns[0] + 0.5 * which, unknowns[1]]), guess
@@ -219,7 +237,10 @@ def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: 
 
 
 def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
-    """Return True if a reverser exchanges the links on the two sides of a turn, as it does at a pitchfork."""
+    """Return True if a reverser exchanges the links on the two sides of a turn, as it does at a pitchfork.
+
+    The difference between a link's phase and that of its image under the time reversal then changes its sign.
+    """
     for reverser in range(len(problem.system.reversers)):
         images = problem.mirrored(before, reverser), problem.mirrored(after, reverser)
         if images[0] is None or images[1] is None or images[0].branches != before.branches:
@@ -247,7 +268,9 @@ def locate_graze(problem: LinkProblem, first: PathPoint, second: PathPoint) -> l
 def _touches(problem: LinkProblem, first: PathPoint, second: PathPoint, halvings: int = 31) -> list[Located]:
     """Return the touches of the section by extrema of the height over it, between two points of a path.
 
-    If the number of extrema differs at the two points, the interval is halved, at most `halvings` times.
+    The height is the signed distance n·x - offset from the section along the connection. If the number of extrema
+    differs at the two points, the interval is halved, at most `halvings` times. Intervals are left out if both ends
+    have the same number of section crossings, or if the connection between them cannot be solved.
     """
     first_profile, second_profile = (profile(problem, p.link, p.value) for p in (first, second))
     if first_profile.count == second_profile.count:
@@ -275,7 +298,9 @@ def _touches(problem: LinkProblem, first: PathPoint, second: PathPoint, halvings
 def _middle_touch(problem: LinkProblem, first: PathPoint, second: PathPoint) -> Located | None:
     """Return the event at which a symmetric connection's midpoint is tangent to the section, or None without one.
 
-    Such a connection's midpoint stays on the section. Its rate across the section changes sign between the two points.
+    A symmetric connection is mapped to itself by a reverser, a matrix of time reversal, and its midpoint may stay on
+    the section. The event is a change of sign of the height's rate ḣ there: one crossing becomes three. The
+    result is None if the midpoint is off the section, ḣ keeps its sign, or the event is not between the two points.
     """
     reverser = problem.symmetry(first.link)
     if reverser is None or problem.symmetry(second.link) != reverser:
@@ -283,7 +308,7 @@ def _middle_touch(problem: LinkProblem, first: PathPoint, second: PathPoint) -> 
     normal = np.asarray(problem.section(first.value).normal)
 
     def rate(state: Array, value: float) -> float:
-        """Return the rate of the height over the section at a state (N,), 1/s."""
+        """Return the rate ḣ of the height over the section at a state (N,), in the height's unit per second."""
         return float(normal @ problem.course.at(value)[0].numeric.rate(state))
 
     states = [(problem.match(p.link, p.value).state, p.value) for p in (first, second)]
@@ -294,10 +319,11 @@ def _middle_touch(problem: LinkProblem, first: PathPoint, second: PathPoint) -> 
         return None
     share = rates[0] / (rates[0] - rates[1])
     guess = _between(first, second, share)
+    # A symmetric link's phases keep their difference.
     offset = guess.phases[1] - guess.phases[0]
 
     def tangent(link: Link, value: float) -> Array:
-        """Return the residuals of off Fix R = 0 and ḣ = 0 at a link."""
+        """Return the gap (2,) of a link's middle from the reverser's fixed set, and ḣ there in units of 10/s."""
         state = problem.match(link, value).state
         return np.append(problem.mirror(link, value, reverser).miss, rate(state, value) / 10)
 
@@ -336,7 +362,13 @@ def _touch(
     from scipy.optimize import brentq
 
     def above(value: float) -> float:
-        """Return the height of the extremum over the level at a value of the followed quantity."""
+        """Return the height of the extremum over the level at a value of the followed quantity.
+
+        The link and its profile are kept in `flights` for the event.
+
+        Raises:
+            ArithmeticError: the connection has no solution at this value, or an extremum vanished.
+        """
         link = problem.solved(_between(first, second, (value - first.value) / width), value).link
         flight_profile = profile(problem, link, value)
         if len(flight_profile.heights) != extrema:
@@ -466,9 +498,10 @@ class Sweep:
     def search(self, value: float) -> Found:
         """Find the links with the required crossings at a value of the followed quantity.
 
-        Results are cached, and later finds are added. If intersections of the cuts do not converge, for example next
-        to a graze, the search is repeated with finer cuts. Cuts that scatter are excluded, because finer ones stop
-        earlier and have fewer intersections.
+        Links are connections as phases of their seeds and a duration. If an orbit or its tube does not exist at this
+        value, the result has none and no orbits. Results are cached, and later finds are added. If intersections of
+        the cuts do not converge, for example next to a graze, the search is repeated with finer cuts. Cuts that scatter
+        are excluded, because finer ones stop earlier and have fewer intersections.
 
         Args:
             value: value of the followed quantity.
@@ -498,7 +531,7 @@ class Sweep:
             return Found(value, energy, (), 1, 0, 0, ()), False
         settings = self.settings.search
         settings = replace(settings, cut=replace(settings.cut, chord=fineness * settings.cut.chord))
-        # Both tubes have similar flight times.
+        # The crossing numbers of both tubes satisfy n_u + n_s - 1 = crossings. Equal ones give similar flight times.
         hits = (self.crossings // 2 + 1, self.crossings - self.crossings // 2)
         unstable = tube_cut(manifolds[0], section, hit=hits[0], settings=settings.cut)
         same_cut = manifolds[0] is manifolds[1] and hits[0] == hits[1]
@@ -522,6 +555,7 @@ class Sweep:
                 continue
             if self.among(point.link, points) is None:
                 points.append(point)
+        # If the symmetry S exchanges the branches, each link stands for itself and its image.
         weight = 2 if all(m.branches_are_mirrored for m in manifolds) else 1
         unresolved = tuple(cut for cut in (unstable, stable) if not cut.resolved)
         orbits = tuple({manifold.orbit.saddle: manifold.orbit for manifold in manifolds}.values())
@@ -634,6 +668,8 @@ class Sweep:
         for point in missed:
             images = [self.problem.mirrored(point.link, k) for k in range(len(self.problem.system.reversers))]
             for link in [point.link, *(image for image in images if image is not None)]:
+                # An image that leaves on a branch without solutions is left out: images under the symmetry S are those
+                # that searches do not hold.
                 known_branch = any(link.branches[0] == solution.link.branches[0] for solution in [*points, point])
                 if known_branch and self.among(link, points) is None:
                     points.append(PathPoint(link, value, point.tangency))
@@ -647,10 +683,12 @@ class Sweep:
         Connections are first carried from the lower value to the higher one. Those without a partner on the other side
         (`lost` and `born`) are then followed around their turns.
 
-        `before` is the search at the lower value of the followed quantity, and `after` the one at the higher value.
+        `before` is the search at the lower value of the followed quantity, and `after` the one at the higher value. A
+        path is `returned` if it turned back to the value at which it began.
 
         Returns:
-            The events, and connections that the searches should have found.
+            The interval with its events, causes of unexplained changes and branches to draw (`runs`), and connections
+                that the searches should have found.
         """
         runs: list[Branch] = []
         missed: list[PathPoint] = []
@@ -682,6 +720,7 @@ class Sweep:
                 if path.returned and arrived is not None:
                     unmatched.discard(arrived)
                 elif not path.returned and arrived is not None and goal is after:
+                    # Paths in the other direction come second, when no lost connection is left.
                     born.discard(arrived)
                 elif arrived is None and self.count(end) == self.crossings:
                     missed.append(end)
@@ -692,9 +731,10 @@ class Sweep:
     def _along(self, path: Path, changes: list[Change], gaps: list[Gap]) -> None:
         """Append the events along a followed path to `changes`, and the places where none was located to `gaps`.
 
-        Only events that change the number of connections with the required crossings count.
-
-        A gap is the cause for which an event is missing. It keeps the sweep from claiming that the counts add up.
+        `path.turns` holds the indices of the points before a turn. Only events that change the number of connections
+        with the required crossings of the section count. The gain of a change is the number of such connections that
+        appear with increasing value. A gap is the cause for which an event is missing. It keeps the sweep from claiming
+        that the counts add up.
         """
         points, gap = path.points, partial(Gap, self.problem.course)
         counts = [self.count(p) for p in points]
@@ -727,6 +767,7 @@ class Sweep:
         """Return the changes without duplicates, since each of the connections that meet at an event finds it."""
 
         def same(a: Located, b: Located) -> bool:
+            """Return True if two events agree in kind, value and link up to the errors of their solutions."""
             is_near = abs(a.value - b.value) < 1e-7 * self.problem.course.scale
             return (
                 a.kind == b.kind and is_near and self.problem.distance_between(a.link, b.link) < 10 * self.settings.same
@@ -901,6 +942,7 @@ def find_bifurcations(
     start, born = _beginning(course, (source, target), (low, high), settings.closest)
     sweep = Sweep(course, source, target, crossings, settings)
     grid = [float(e) for e in np.linspace(start, high, settings.samples)]
+    # The factor prevents another halving due to rounding.
     narrowest = 1.001 * (grid[1] - grid[0]) / 2**settings.halvings
     k = 0
     while k < len(grid) - 1:
@@ -917,6 +959,7 @@ def find_bifurcations(
     pairs = list(pairwise(grid))
     unexplained = tuple(_unexplained(sweep, a, b) for a, b in pairs if not _adds_up(sweep, a, b))
     events = _with_counts(sweep, [c for a, b in pairs for c in sweep.between(a, b).changes], counts)
+    # From this value on, no search is complete.
     scatters_from = next((c.value for k, c in enumerate(counts) if not any(d.complete for d in counts[k:])), None)
     return BifurcationSearch(
         course=course,
@@ -973,7 +1016,8 @@ def _beginning(
 def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
     """Return True if the located events explain the change of the number of links between two searched values.
 
-    The sweep halves an interval for which they do not.
+    The gain of an interval is the number of links that its events add with increasing value. The result is also False
+    if an event is missing, which a gap reports. The sweep halves such an interval.
     """
     interval = sweep.between(low, high)
     # Searches are read last, because continuation may have added to them.

@@ -286,6 +286,9 @@ class LinkProblem:
     def _match(self, link: Link, value: float) -> Match:
         """Propagate both tubes to the middle of a connection and return their gap with its derivatives.
 
+        The gap is zero for a connection. The tangency σ is the determinant of both tubes' tangents, the flow and the
+        energy's gradient, scaled to length one. It is zero if the tubes touch there.
+
         Args:
             link: guess or solution.
             value: value of the followed quantity.
@@ -301,6 +304,7 @@ class LinkProblem:
         stable_end, stable_slope = self.turned(reversed_end, second.orbit.centre), system.reversers[0] @ stable_slope
         # The stable tube is the time-reversed image of an unstable one.
         gap = (unstable_end - stable_end - np.asarray(link.turns) * system.turn_lengths) / scale
+        # Half of the duration T passes on either side, so the gap's derivative by T is the mean of both rates.
         along = (system.numeric.rate(unstable_end) + system.numeric.rate(stable_end)) / 2
         jacobian = np.column_stack([unstable_slope, -stable_slope, along]) / scale[:, None]
         columns = np.column_stack([jacobian, system.numeric.gradient(unstable_end) * scale])
@@ -310,10 +314,11 @@ class LinkProblem:
     def mirror(self, link: Link, value: float, which: int) -> MirrorMatch:
         """Return the scaled vector from a reverser's fixed set to a connection's middle, and two test functions there.
 
-        Symmetric connections have their middle on the fixed set. The tangent of the manifold in the middle has a part
-        that the reverser reverses and one that it keeps. `fold` is the first one across the flow, and vanishes where
-        two symmetric connections meet. `shedding` is the second one across the energy's gradient, and vanishes where a
-        pair of mirror images branches off.
+        A reverser is a matrix R (N, N) of time reversal about a saddle, and symmetric connections have their middle on
+        its fixed set, R x = x. The tangent of the manifold in the middle has a part that the reverser reverses and one
+        that it keeps. `fold` is the first one across the flow, and vanishes where two symmetric connections meet.
+        `shedding` is the second one across the energy's gradient, and vanishes where a pair of mirror images branches
+        off.
 
         Args:
             link: guess or solution.
@@ -326,7 +331,9 @@ class LinkProblem:
         reverser = system.reversers[which]
         turned_over = (np.eye(4) - reverser) / 2
         deviation = turned_over @ (state - manifold.orbit.centre)
+        # The fixed set repeats every half turn of the angles that the reverser reverses.
         deviation = deviation - system.nearest_turns(2 * deviation) * system.turn_lengths / 2
+        # Orthonormal scaled bases (2, 4): `rows` spans what the reverser reverses, and `basis` below what it keeps.
         rows = np.linalg.svd(turned_over / scale[:, None])[0][:, :2].T
         miss = rows @ (deviation / scale)
         rate = turned_over @ system.numeric.rate(state)
@@ -358,6 +365,9 @@ class LinkProblem:
     def mirrored(self, link: Link, which: int) -> Link | None:
         """Return the image of a homoclinic link under a time reversal (reverser), or None for a heteroclinic link.
 
+        The stable tube is the image of the unstable one under the first reverser, which therefore exchanges the two
+        branches and phases of the link.
+
         Args:
             link: homoclinic link.
             which: index of the reverser.
@@ -366,6 +376,8 @@ class LinkProblem:
             return None
         if which == 0:
             return replace(link, branches=link.branches[::-1], phases=link.phases[::-1])
+        # The second reverser is the first one followed by the half turn S, a symmetry that advances the orbit by half a
+        # period and changes the branch if its sign is -1.
         half_turn = next(iter(self._manifolds.values())).half_turn
         assert half_turn is not None
         sign = int(half_turn[1])
@@ -373,7 +385,7 @@ class LinkProblem:
         return replace(link, branches=branches, phases=(link.phases[1] + 0.5, link.phases[0] + 0.5))
 
     def distance_between(self, first: Link, second: Link) -> float:
-        """Return the distance of two links in phases and relative duration, infinite for different branches.
+        """Return the largest difference of two links in phases and relative duration, infinite for different branches.
 
         Args:
             first: link at any value.
@@ -385,7 +397,9 @@ class LinkProblem:
         return max(*gaps, abs(first.duration / second.duration - 1))
 
     def solved(self, link: Link, value: float) -> PathPoint:
-        """Return the connection near a link, the solution of F = 0 at a fixed value of the followed quantity.
+        """Return the connection near a link, for which the gap F of both tubes is zero, at a fixed value.
+
+        The unknowns are the phases φ_u and φ_s of the link's seeds and its duration T.
 
         Args:
             link: initial guess.
@@ -396,6 +410,7 @@ class LinkProblem:
         """
 
         def equations(unknowns: Array) -> tuple[Array, Array]:
+            """Return the scaled gap (N,) and its Jacobian (N, 3) at (φ_u, φ_s, T)."""
             match = self.match(link.at(unknowns), value)
             return match.gap, match.jacobian
 
@@ -409,7 +424,13 @@ class LinkProblem:
 
 @dataclass(frozen=True)
 class LinkCurve:
-    """The curve of a link's continuation (φ_u, φ_s, T, H), a problem of module continuation."""
+    """The curve of a link's continuation (φ_u, φ_s, T, H), a problem of module continuation.
+
+    Attributes:
+        problem: matching of two tubes.
+        link: a link with the branches and turns of the curve.
+        units: factor on the scaled gap, the residual of the curve's equations.
+    """
 
     problem: LinkProblem
     link: Link
@@ -433,6 +454,7 @@ class LinkCurve:
         slope = differenced(lambda value: self.problem.match(guessed, float(value[0])).gap, guess[3:], width)
 
         def equations(unknowns: Array) -> tuple[Array, Array]:
+            """Return the scaled gap (N,) and its Jacobian (N, 4) at (φ_u, φ_s, T, H)."""
             match = self.problem.match(self.link.at(unknowns), float(unknowns[3]))
             return match.gap, np.hstack([match.jacobian, slope])
 
@@ -510,8 +532,9 @@ class Path:
 def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: float = 1 / 32) -> PathPoint | None:
     """Continue a connection to another value of the followed quantity, or return None if it may turn.
 
-    Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed value. The tangency σ must keep its sign, which
-    changes at a turn. This is cheaper than `follow`, which handles turns.
+    Each step is predicted along ∂(φ_u, φ_s, T)/∂H, the derivative of the phases of its two seeds and its duration by
+    the followed quantity H, and solved at fixed value. The tangency σ must keep its sign, which changes at a turn, and
+    the connection its symmetry. This is cheaper than `follow`, which handles turns.
 
     Args:
         problem: matching of two tubes.
@@ -522,7 +545,10 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
     distance = abs(goal - point.value)
 
     def following(point: PathPoint, _: float, value: float) -> PathPoint | None:
-        """Return the connection at the next value, or None if it may have turned on the way."""
+        """Return the connection at the next value, or None if it may have turned on the way or cannot be solved.
+
+        The second argument is the value of `point`, which it holds itself.
+        """
         try:
             match, curve = problem.match(point.link, point.value), LinkCurve(problem, point.link)
             by_value = curve.near(point.coordinates)(point.coordinates)[1][:, 3]
@@ -543,6 +569,9 @@ def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: floa
 def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps: int = 120) -> Path:
     """Follow a connection over the quantity, around all its turns, until it arrives at the goal or returns.
 
+    If it does neither within `steps`, or if Newton's method fails, the path has a `gap` with the cause. It then ends
+    at the last point that was solved, and has no points if there is none at the start.
+
     Args:
         problem: matching of two tubes.
         link: connection solved at value `start`.
@@ -558,6 +587,8 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
     try:
         points.append(problem.solved(link, start))
         link, symmetry, heading = points[0].link, problem.symmetry(points[0].link), np.sign(way) * np.eye(4)[3]
+        # The coordinates of the curve are φ_u, φ_s, T and the followed quantity. Its tangent first points along
+        # `heading`, towards the goal, and lengths are measured in `weights`.
         curve_of_links = LinkCurve(problem, link)
         weights = np.array([phase_step, phase_step, phase_step * link.duration, abs(way)])
         curve = Curve(curve_of_links, weights, _ON_CURVE, _ROUNDED, curve_of_links.measure)
@@ -572,6 +603,7 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
 
         stretches = curve.followed(first, step=0.5, smallest=1e-5, first=0.25, growth=1.4, refused=refused)
         for before, after, _ in islice(stretches, steps):
+            # The path ends at the first of the two bounds that lies between two points.
             for bound, returned in ((goal, False), (start, True)):
                 if (after.value - bound) * (bound - before.value) >= 0 and before.value != bound:
                     share = (bound - before.value) / (after.value - before.value)
@@ -591,7 +623,8 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
 def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:
     """Return the point of a path on the plane halfway along the chord of two points and normal to it, or None.
 
-    It bisects a path around a turn, at which the path is no function of the followed quantity.
+    It bisects a path around a turn, at which the path is no function of the followed quantity. The result is None if
+    Newton's method fails.
 
     Args:
         problem: matching of two tubes.
@@ -631,6 +664,9 @@ class Profile(Brief):
 def fly_whole(problem: LinkProblem, link: Link, value: float) -> tuple[Array, Array]:
     """Return the whole flight of a connection from the seed of its source's tube to that of its target's.
 
+    A seed is a state at a small distance from the periodic orbit, along its unstable vector or the image of this vector
+    under time reversal.
+
     Args:
         problem: matching of two tubes.
         link: solution.
@@ -653,7 +689,8 @@ def fly_whole(problem: LinkProblem, link: Link, value: float) -> tuple[Array, Ar
 def profile(problem: LinkProblem, link: Link, value: float) -> Profile:
     """Return a solved connection's heights over its section at all extrema, and its number of section crossings.
 
-    Crossings are counted between extrema, since the height is monotonic there.
+    The height is the signed distance n·x - offset from the section. It is zero, or a multiple of the section's period,
+    at a crossing. Crossings are counted between extrema, since the height is monotonic there.
 
     Args:
         problem: matching of two tubes.
@@ -684,7 +721,9 @@ def profile(problem: LinkProblem, link: Link, value: float) -> Profile:
 
 
 def first_crossing(problem: LinkProblem, link: Link, value: float) -> Array | None:
-    """Return the state (N,) at which a connection first crosses its section, with whole turns counted, or None.
+    """Return the state (N,) at which a connection first crosses its section, with whole turns counted.
+
+    The result is None if it never crosses on the side where crossings count.
 
     Args:
         problem: matching of two tubes.

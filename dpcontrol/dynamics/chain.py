@@ -195,6 +195,7 @@ class ArmChainParameters(Settings):
         """
         check_choice("parameter", self.named(), name)
         letters = {**_INERTIAL, "gravity": "g", **_FRICTION, "smoothing": "w"}
+        # A name is the letter of a field, followed by the number of an arm: "m1".
         field = next(field for field, letter in letters.items() if letter == name[0])
         if field in ("gravity", "smoothing"):
             return replace(self, **{field: value})
@@ -233,6 +234,7 @@ class ArmChainParameters(Settings):
         `numbers` returns the values (n,) of a field by its name, as doubles or as fractions. The formulas of M, G and S
         are at the head of this module.
         """
+        # Masses, centres, distances to the next joint (the lengths) and inertias.
         m, centre, joint, j = map(numbers, _INERTIAL)
         laws = [*self.friction, *(["smoothing"] if self.friction else [])]
         friction = np.concatenate([numbers(name) for name in ("viscous", *laws)])
@@ -294,7 +296,7 @@ class ArmChainParameters(Settings):
         return replace(self, **{name: (*getattr(self, name)[:-1], value) for name, value in changes.items()})
 
     def need(self, angles: Array) -> float | None:
-        """Return the feedback that holds arms at an equilibrium, m/s² per rad; None if it is stable.
+        """Return the gain of the feedback that holds arms at an equilibrium, m/s² per rad; None if it is stable.
 
         The gentlest linear-quadratic feedback of an unstable mode v with growth s, v'Mv = 1, mirrors s to -s. Its gain
         per radian of the arm that moves most is 2 s² / (|v·b| max|v|), b the arms' coupling to the cart's acceleration.
@@ -305,6 +307,8 @@ class ArmChainParameters(Settings):
         """
         from scipy.linalg import eigh
 
+        # At an equilibrium, each arm hangs (sign 1) or stands (-1). A mode grows as exp(s t), with the square of s as
+        # its eigenvalue.
         signs = np.cos(angles)
         weights = signs * self.torques
         growth_squares, modes = eigh(-np.diag(weights), self.mass_in_line * np.outer(signs, signs))
@@ -320,6 +324,7 @@ class ArmChainParameters(Settings):
             length: factor on lengths.
             time: factor on times.
         """
+        # Energies and torques scale as length²/time², rates as 1/time.
         factors = {
             "centre_of_mass": length,
             "length": length,
@@ -476,6 +481,7 @@ def arm_chain_equations(count: int, level: Level, *, friction: tuple[Friction, .
     if Friction.COULOMB not in friction:
         return equations
     # Linearised equations get a wider smoothing, such that no joint's viscous damping c/w exceeds `MOST_DAMPING`.
+    # The coefficients c follow M, G, S and the viscous ones; the smoothing rate is the last parameter.
     p, first = equations.parameters, count * (count + 1) // 2 + 3 * count
     widths = [p[first + i] / (MOST_DAMPING * scale) for i, scale in enumerate(damping_scales(p, count))]
     return replace(equations, linear_parameters=ca.vertcat(p[:-1], reduce(ca.fmax, widths, p[-1])))
@@ -496,6 +502,7 @@ def damping_scales(base: Any, count: int) -> list[Any]:
         base: base parameters, numbers or symbols.
         count: number of arms.
     """
+    # G follows M, whose rows have M_ij for j >= i; `at` is the place of M_ii.
     first = count * (count + 1) // 2
     return [(base[first + i] * base[int(at)]) ** 0.5 for i, at in enumerate(np.cumsum([0, *range(count, 1, -1)]))]
 
@@ -529,7 +536,8 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
     sections: dict[str, Section] = {}
     between: dict[tuple[str, str], str] = {}
     if n == 2:
-        # Rows: n, the coordinate of an arm that moves along the section, and the direction along the section.
+        # By name: title, the section's normal, the coordinate of an arm that moves along it, and the direction along
+        # it.
         rows = {
             "outer-down": ("θ₂ = 2πk", (0.0, 1.0), (1.0, 0.0), (1.0, 0.0)),
             "inner-down": ("θ₁ = 2πk", (1.0, 0.0), (0.0, 1.0), (0.0, 1.0)),
@@ -547,6 +555,8 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
         [f"angle_{i + 1}" for i in range(n)],
         {"-".join(words): [np.pi * (w == "up") for w in words] for words in product(("down", "up"), repeat=n)},
         periods=(2 * np.pi,) * n,
+        # Time can be reversed with the rates, and also with the angles instead. Orbits start at a positive rate of the
+        # inner arm.
         reversers=(
             np.diag(np.concatenate([angle_signs, -rate_signs])),
             np.diag(np.concatenate([-angle_signs, rate_signs])),
@@ -635,6 +645,7 @@ def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
     coupling = [weight / arms.gravity for weight in weights]
     lengths, friction = remaining[: max(n - 2, 0)], remaining[max(n - 2, 0) :]
     if n > 1:
+        # The first length is g C/G_2, and S_2 is G_2/g.
         lengths = [1.0 / coupling[1], *lengths]
     inertia = [diagonal[i] if i == j else coupling[j] * lengths[i] for i in range(n) for j in range(i, n)]
     return [*inertia, *weights, *coupling, *friction, *([arms.smoothing] if arms.friction else [])]
@@ -643,7 +654,9 @@ def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
 def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters:
     """Return the arms with given ratios whose masses, centres, lengths and inertias differ least from those of `start`.
 
-    Negative friction becomes zero. An inertia of zero stays zero, and gravity and the last length are unchanged.
+    The logarithms of the factors on the values of `start` are found by Newton's method, in which each step is the
+    shortest one. Negative friction becomes zero. An inertia of zero stays zero, and gravity and the last length are
+    unchanged.
 
     Args:
         ratios: ratios (m,) of `base_ratios`, SI units.
@@ -687,6 +700,7 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
         ).T
         # The least-norm solution of the linearised equations.
         next_logs: Array = np.linalg.lstsq(slope, slope @ logs - error, rcond=None)[0].astype(np.float64)
+        # A factor of exp(5) is not near.
         if not np.isfinite(next_logs).all() or np.abs(next_logs).max() > 5:
             raise no_arms_near
         change = np.abs(next_logs - logs).max()
@@ -899,6 +913,7 @@ def _friction(arms: ArmChainParameters, arm: int) -> Iterator[str]:
     Raises:
         InputError: so strong that only another unit explains it.
     """
+    # I, G and S of this arm, from the base parameters M (row by row for j >= i), G, S and friction.
     count, base = arms.count, arms.base()
     about_joint = base[np.cumsum([0, *range(count, 1, -1)])[arm]]
     weight, coupling = base[count * (count + 1) // 2 :].reshape(-1)[[arm, count + arm]]

@@ -56,7 +56,8 @@ def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
     The solution is unrolled into the graph. casadi's own symbolic solve uses a QR decomposition with more instructions.
 
     Args:
-        matrix: symmetric and positive definite (n, n), as a mass matrix, so no pivot vanishes.
+        matrix: symmetric and positive definite (n, n), as a mass matrix, so no pivot vanishes. Entries below its
+            diagonal are not used.
         right: right-hand side (n,).
     """
     n = matrix.shape[0]

@@ -158,9 +158,10 @@ def _symbols() -> SimpleNamespace:
 def _component_frames(count: int, components: Kinds) -> tuple[ComponentFrame, ...]:
     """Return a frame for each component with the symbols of its states, parameters and modes.
 
-    Arms and cart are missing in these frames; callers put theirs in. The symbols are the same at each call, so that
-    expressions of different functions can be combined. `count` is the number of arms, and `components` are the classes
-    of the components.
+    Modes are numbers that are chosen at the beginning of a step, such as the sign of a joint's sliding. Arms and cart
+    are missing in these frames; callers put theirs in. The symbols are the same at each call, so that expressions of
+    different functions can be combined. `count` is the number of arms, and `components` are the classes of the
+    components.
     """
     no_symbols, frames = ca.SX(0, 1), []
     for place, component in enumerate(components):
@@ -261,8 +262,9 @@ class _EquationsOfMotion:
 def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], components: Kinds) -> _EquationsOfMotion:
     """Return the motion of arms, cart, drive and components at a level.
 
-    A component with a motor stands between drive and cart and gives the cart its acceleration. `count` is the number of
-    arms, `friction` their laws of friction in addition to the viscous one.
+    A component with a motor stands between drive and cart and gives the cart its acceleration. Modes are numbers that
+    components choose at the beginning of a step, such as the sign of a joint's sliding. `count` is the number of arms,
+    `friction` their laws of friction in addition to the viscous one, and `components` are the components' classes.
     """
     symbols, free_cart, a = _symbols(), level is PlantLevel.FORCE, ca.SX.sym("a")
     parts = _parts(count, friction, free_cart=free_cart, components=components)
@@ -274,8 +276,10 @@ def _motion(count: int, level: PlantLevel, friction: tuple[Friction, ...], compo
     motor_drives = [term.drive for component, term in zip(components, terms, strict=True) if component.motor]
     driven_acceleration = motor_drives[0] if motor_drives else demand
     if free_cart:
+        # The drive's force F is M a.
         moving = ca.substitute(parts.free_acceleration, symbols.force, symbols.mass * driven_acceleration)
     else:
+        # On a motor's belt, gravity pulls the cart along the track; an ideal drive holds it.
         driven_acceleration = driven_acceleration + symbols.pull if motor_drives else driven_acceleration
         moving = ca.substitute(parts.free_acceleration, parts.acceleration, driven_acceleration)
     modes, earlier_modes = ca.SX(0, 1), ca.SX(0, 1)
@@ -388,6 +392,7 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
     rates = v[:n] + changes[:n] + jumps + ca.jacobian(parts.free_acceleration, parts.acceleration) * knock
     next_state = ca.vertcat(q[:n], rates, q[n], v[n] + cart)
     if level is not PlantLevel.CART:
+        # The loop demands a = (w - ẋ)/τ, so it reacts to a jump of ẋ.
         next_state = ca.vertcat(next_state, a - cart / symbols.lag)
     parameters = _parameters(count, level, friction)
     inputs = [_state(q, v, a, level), impulses, jumps, knock, parameters]
@@ -403,8 +408,8 @@ def plant_step(
 
     The code is built once per process.
 
-    With components, they settle the next state, as stiction stops a joint. Their guards follow it in the output: a
-    negative one tells the simulated bench that a mode ended within the step.
+    With components, they settle the next state, as stiction stops a joint. Their guards follow it in the output. A
+    negative one tells the simulated bench that a mode, such as the sign of a joint's sliding, ended within the step.
 
     Args:
         count: number n of arms.
@@ -439,7 +444,9 @@ def plant_modes(
 ) -> Compiled | None:
     """Return the compiled function that chooses the components' modes at the beginning of a step.
 
-    Its inputs are those of `plant_step`. None if the components have no modes.
+    A mode is a number that is constant during a step, such as the sign of a joint's sliding. The inputs of the function
+    are those of `plant_step`: state, inputs, duration and parameters. The result is None if the components have no
+    modes.
 
     Args:
         count: number n of arms.

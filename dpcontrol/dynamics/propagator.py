@@ -328,6 +328,7 @@ class CrossingFinder:
         """The compiled rates f(x), for the check of starts and the direction in which a section is crossed."""
 
         def made(_: int) -> Any:
+            """Compile the rates; the optimisation level is that of `QUICK`, not the argument."""
             variables, rates = zip(*_at_rest(self.equations), strict=True)
             return hy.cfunc(rates, vars=variables, **QUICK)
 
@@ -343,7 +344,8 @@ class CrossingFinder:
         """Return each state's crossing of a section (K, N) and its time (K,), s, or NaN and infinity.
 
         The eight lanes of the integrator work through the list of states: a lane whose trajectory has ended takes the
-        next state from the list.
+        next state from the list. A state has no crossing if it or its rate is not finite, if its trajectory does not
+        reach the crossing in the time `longest`, or if it needs too many steps for it.
 
         Args:
             states: states (K, N).
@@ -362,6 +364,8 @@ class CrossingFinder:
         state, events = integrator.state, integrator.pars[self._events]
         clock, halves = integrator.time, integrator.dtime
         running_outcomes = {int(hy.taylor_outcome.success), int(hy.taylor_outcome.step_limit)}
+        # Index of each lane's trajectory, -1 without one. A cooldown is the time in which heyoka ignores a sheet after
+        # its crossing.
         flights, end_times = [-1] * LANES, np.zeros(LANES)
         hits, steps_done, unpaced_steps, mark_times = [0] * LANES, [0] * LANES, [0] * LANES, [0.0] * LANES
         free = list(range(LANES))
@@ -611,7 +615,8 @@ class Propagator:
     def followed(self, state: ArrayLike, times: Array) -> Array:
         """Return the states (M, N) at the first M of the times.
 
-        At later times the state is infinite or undefined, or absurdly fast.
+        At later times the state is infinite or undefined, or absurdly fast: an interval needs over 2,000 Taylor steps.
+        M is the number K of times if this does not happen.
 
         Args:
             state: state (N,) at time zero.
@@ -636,7 +641,7 @@ class Propagator:
             ArithmeticError: the state became infinite or undefined.
         """
         integrator, n = self._at_zero(np.asarray(state, dtype=float), stm=True), self.equations.dimension
-        # A grid must not repeat a time.
+        # A grid must not repeat a time. All times have the sign of their sum.
         distinct, places = np.unique(np.abs(np.append(0.0, times)), return_inverse=True)
         result = integrator.propagate_grid(np.copysign(distinct, np.sum(times)))
         check_arrival(integrator, result[0])
@@ -658,7 +663,7 @@ class Propagator:
         return self._finder.find(many, section, longest=float(longest), hit=hit)
 
     def crossing(self, state: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> Crossing | None:
-        """Return a state's crossing of a section, or None.
+        """Return a state's crossing of a section, or None if its trajectory does not reach it in the time `longest`.
 
         Args:
             state: state (N,).
@@ -673,7 +678,7 @@ class Propagator:
     def flows(self, states: Array, durations: Array) -> Array:
         """Return the states (K, N) after short durations.
 
-        The durations are short as in multiple shooting.
+        The durations are short as in multiple shooting, since the number of Taylor steps is not limited.
 
         In a batch, a segment is four times cheaper. A solve with 128 symbols propagates five thousand per step.
 
@@ -891,6 +896,7 @@ class ExtendedPropagator:
         """The integrator in 113-bit reals with the exact parameters."""
 
         def compiled(_: int) -> Any:
+            """Compile the integrator; the optimisation level is that of `COMPACT`, not the argument."""
             system = taylor_system(self.equations, [])
             zero = extended(np.zeros(len(system)))
             return hy.taylor_adaptive(system, zero, time=zero[0], fp_type=_real(), **COMPACT)
@@ -906,6 +912,7 @@ class ExtendedPropagator:
         equations = self.equations
 
         def compiled(_: int) -> Any:
+            """Compile the energy; the optimisation level is that of `COMPACT`, not the argument."""
             states, parameters = (
                 [x for x, _ in taylor_system(equations, [])],
                 [hy.par[i] for i in range(equations.parameters.shape[0])],

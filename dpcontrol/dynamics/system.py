@@ -450,6 +450,7 @@ def described_system(
             if label not in choices:
                 raise InputError(f"between {pair} of {name} names {label!r}: {suggest(label, choices)}")
         sections[pair] = named_sections[key]
+    # The rise over a tenth of the scale is a hundredth of that over the scale, if it is quadratic.
     energy_rises = numeric.hamiltonian(first_saddle + np.diag(scale) / 10) - numeric.hamiltonian(first_saddle)
     return System(
         name=name,
@@ -600,8 +601,9 @@ def _reversers(
 ) -> tuple[Array, ...]:
     """Return at most two reversers (N, N) about every saddle: those declared, or the sign changes that hold.
 
-    The product of both advances each Lyapunov orbit by half a period, as the search of symmetric orbits requires.
-    `saddles` are the saddles' states by name, and `declared` the user's option, None for the default.
+    A reverser is a matrix R, its own inverse, that reverses the flow in time: with x(t), R x(-t) is a motion. The
+    product of both advances each Lyapunov orbit by half a period, as the search of symmetric orbits requires. `saddles`
+    are the saddles' states by name, and `declared` the user's option, None for the default.
 
     Raises:
         InputError: a declared reverser is no involution, or does not reverse the motion.
@@ -655,7 +657,8 @@ def _default_sections(
 ) -> dict[tuple[str, str], Section]:
     """Return (from, to) -> section for the pairs of saddles whose section a reverser keeps; others have no default.
 
-    The system has two coordinates, called `names`.
+    The reverser is a matrix (N, N) that reverses the motion in time. It keeps a section if it maps it onto itself. The
+    system has two coordinates, called `names`.
 
     Two saddles have the plane half-way, in both directions of an angle. Orbits of one saddle have a plane half a turn
     away if the unstable direction is mostly an angle. Otherwise they have the plane of the reverser's fixed set, which

@@ -212,6 +212,9 @@ def read_draft(text: str) -> Draft:
 def line_of(text: str, error: InputError) -> int:
     """Return the line number (from 1) of an error in a text.
 
+    It is the line of the error's key in its table. Without this line, it is the one at which parsing stopped, or that
+    of the table's header.
+
     Args:
         text: itinerary in TOML.
         error: error of the itinerary.

@@ -114,7 +114,8 @@ class Planner(AbstractContextManager["Planner"]):
     def _answer(self, connection: Any, request: Any) -> Any:
         """Return the response to a request for a file or with an error, or None to let a page open its connection.
 
-        The library calls it with its connection and request before each connection.
+        The library calls it before each connection with its `ServerConnection` and the browser's `Request`, and
+        expects a `Response` or None.
         """
         path, _, query = request.path.partition("?")
         name, kind = _FILES.get(path, ("", "text/plain"))
@@ -134,7 +135,8 @@ class Planner(AbstractContextManager["Planner"]):
     def _admits(self, query: str, headers: Any) -> bool:
         """Return True if a request has the token in its query, this server as host, and no origin but this server.
 
-        Other programs and pages in the user's browser are thus rejected.
+        `headers` are the request's, of the library's class `Headers`. Other programs and pages in the user's browser
+        are thus rejected.
         """
         tokens = parse_qs(query).get("token", [])
         return (
@@ -147,7 +149,8 @@ class Planner(AbstractContextManager["Planner"]):
     async def _page(self, window: Any) -> None:
         """Receive the commands of one of the page's windows and send its data, until the window is closed.
 
-        Windows with the same path share a session, so that a reload shows the same itinerary.
+        `window` is the library's `ServerConnection` to it. Windows with the same path share a session, so that a reload
+        shows the same itinerary.
         """
         name = window.request.path.partition("?")[0]
         if name not in self._sessions:

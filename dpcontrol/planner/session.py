@@ -70,19 +70,26 @@ class PageSession:
             broadcast: sends a message to several windows.
         """
         self._workers, self._broadcast = workers, broadcast
+        # Connections of websockets, one for each window.
         self.windows: set[Any] = set()
         self._folder = Path(tempfile.mkdtemp(prefix="dpcontrol-planner-"))
+        # Texts that can be undone or redone, the index of the present one, and True if it was changed by typing.
         self._texts, self._at, self._typed = [first_text(model)], 0, False
         self._draft, model_message = _parsed(self._texts[0])
         free_names = itertools.chain(["planned"], (f"planned-{k}" for k in itertools.count(2)))
         self._name = next(name for name in free_names if not (_ITINERARIES / f"{name}.toml").exists())
+        # Result of the atlas's job, and results of the other jobs by their names, such as "plan".
         self._atlas: dict[str, Any] = {}
         self._made: dict[str, Any] = {}
+        # Contents of the files that the page saved, and their paths by kind, such as "toml".
         self._written: dict[Path, bytes] = {}
         self._saved: dict[str, str] = {}
+        # Number of the last command of the page that was executed.
         self._acknowledged = 0
+        # The last message of each kind, and the current jobs by slot.
         self._shown: dict[str, str] = {}
         self._jobs: dict[str, WorkerJob] = {}
+        # Function that starts the last cancelled or broken job again.
         self._again: Callable[[], None] | None = None
         self._order = asyncio.Lock()
         self._set_message("")
@@ -344,7 +351,11 @@ class PageSession:
         """
 
         def on_report(word: str, value: str) -> None:
-            """Handle one report of the job's process, unless another job has replaced it."""
+            """Handle one report of the job's process, unless another job has replaced it.
+
+            `word` is "progress", "remark", "show:KIND" for the page, "done", "failed" or "died", and `value` its JSON;
+            of "died" it is the exit status in words.
+            """
             if self._jobs.get(slot) is not job:
                 return
             if word.startswith("show:"):

@@ -112,6 +112,7 @@ def shown_atlas(atlas: Atlas, model: Model) -> dict[str, Any]:
     kinds = []
     for kind in atlas.kinds:
         connections = connections_of(atlas, kind)
+        # A search without connections is not drawn if there is another one of the same pair, at other hits.
         if not connections and any(k is not kind and (k.source, k.target) == (kind.source, kind.target)
                                    for k in atlas.kinds):  # fmt: skip
             continue

@@ -141,7 +141,8 @@ def make_atlas(
 ) -> Atlas:
     """Return a model's atlas at an energy, from the cache if possible.
 
-    The atlas is cached unless a search of it ended early; its file is that in the cache.
+    An atlas holds the equilibria, the Lyapunov orbits, the cuts of their tubes and the connections. It is cached unless
+    a search of it ended early; its file is that in the cache.
 
     Args:
         model: model, or a conservative system.
@@ -340,6 +341,7 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
     strands = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings)]
 
     def piece(cut_piece: Piece) -> AtlasPiece:
+        """Return the record of one piece of the cut, with the points of its time-reversed image on the stable tube."""
         reversed_states = (cut_piece.states - orbit.centre) @ orbit.reverser.T + orbit.centre
         return AtlasPiece(
             **fields_of(Piece, cut_piece), stable_points=section_points(system, cut.section, reversed_states)
@@ -361,7 +363,9 @@ def _strands(
 ) -> Iterator[tuple[int, float, Array]]:
     """Yield trajectories of a tube that reach the section, spread evenly over the phases, for drawing.
 
-    Each is the branch (±1), the phase of its seed, and its states (M, N) from the seed to the section.
+    Each is the branch (±1), the phase of its seed, and its states (M, N) from the seed to the section. A seed is a
+    state near the orbit, from which the trajectory leaves it; the cut holds the phases of seeds that reach the section.
+    None are yielded for a branch that does not.
     """
     pieces = [piece for piece in cut.pieces if piece.branch == branch]
     if not pieces:
@@ -459,7 +463,8 @@ def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
 def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
     """Return a record's entry in the header, and put its arrays into `arrays` under `prefix` and their names.
 
-    Entries of a list "orbits" have the prefix "orbit_0_" and so on. A single state or point is in the header.
+    `record` is an atlas or one of the dataclasses in it. Entries of a list "orbits" have the prefix "orbit_0_" and so
+    on. A single state or point is in the header.
     """
     entry: dict[str, Any] = {}
     for name, value in fields_of(type(record), record).items():

@@ -124,6 +124,8 @@ def sensitivity(arms: ArmChainParameters, motion: Trajectory | Reference) -> flo
 def _effects(arms: ArmChainParameters, model: SampledModel, states: Array, commands: Array) -> Array:
     """Return the change E (K, N, p) of the state after each step per relative error of each of p parameters.
 
+    These are the masses, centres of mass, lengths and inertias of all arms, in this order.
+
     Args:
         arms: parameters of the arms.
         model: sampled model of the arms.

@@ -112,15 +112,20 @@ class Way:
         """
         goal = self.mirror * (self.start if self.backwards else self.end)
         model = shared_model(equations_of(self.arms, Level.CART))
+        # Matrices of one step, x⁺ = a x + b u, at the goal.
         a, b = (matrices[0] for matrices in model.linearised(goal[None], np.zeros(1), parameters=self.parameters))
         diagonal, effort = TvlqrSettings().weights(self.arms.count, PERIOD)
         cost = terminal_cost(a, b, weights=np.diag(diagonal), effort=effort)
         gain = b @ cost @ a / (effort + b @ cost @ b)
+        # Least cost-to-go x'Px of the states with |gain · x| at the limit of the acceleration.
         saturation_cost = self.limits.acceleration**2 / (gain @ np.linalg.solve(cost, gain))
         return Target(goal[None], cost[None] / saturation_cost)
 
     def flights(self, durations: Array, *, fixed: bool) -> Iterator[Trajectory]:
         """Yield flights that reach the other end, as motions on a coarse mesh.
+
+        A flight is an optimal motion of arms and cart whose inputs are constant in `STEPS` steps. It is sought from
+        each of the first inputs `_PUSHES`, sines of the cart's acceleration, for each first duration.
 
         Args:
             durations: first durations (D,), s.

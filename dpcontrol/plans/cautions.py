@@ -167,6 +167,7 @@ def _authority(arms: ArmChainParameters, reference: Reference) -> Iterator[Cauti
             continue
         needs_with_tip = [(arms.with_tip(mass).need(place) or 0.0, mass) for mass in (_TIPS * arms.mass[-1]).tolist()]
         sufficient_tips = (candidate for candidate in needs_with_tip if candidate[0] < LIMITS[CautionCause.AUTHORITY])
+        # If no mass suffices, the one with the smallest need, or none.
         need_after, mass = next(sufficient_tips, min(*needs_with_tip, (need, 0.0)))
         yield Caution(CautionCause.AUTHORITY, need, name, "tip_mass" if mass else "", mass, need_after)
 
@@ -186,6 +187,7 @@ def _gains(itinerary: Itinerary, reference: Reference) -> Iterator[Caution]:
     hidden_angle, peak_share = hidden_angles(itinerary), float(shares.max())
     largest = max(hidden_angle, key=lambda name: hidden_angle[name])
     finer_counts = _FINER * min(loop.counts(arms.count), default=0)
+    # The change removes the largest hidden angle, or the share of it that finer encoders show.
     value, removed_share = (finer_counts, 1 - 1 / _FINER) if largest == "counts" else (0, 1.0)
     figure = peak_share * sum(hidden_angle.values())
     yield Caution(

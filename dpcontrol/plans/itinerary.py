@@ -57,7 +57,9 @@ def _kind_of_part(values: Mapping[str, Any]) -> str:
 
 
 def _part(part: Part, system: System) -> Part:
-    """Return a part after a check of its names and its energy against the model's system; a walk is expanded.
+    """Return a part after a check of its names and its energy against the model's system.
+
+    Composite edges and repetitions of a walk are written out, see `_expanded`.
 
     Raises:
         InputError: an impossible walk, wraps, energy or hold.
@@ -95,6 +97,7 @@ def _expanded(part: WalkPart, saddles: Sequence[str]) -> WalkPart:
         ends = f"the walk starts at {symbols[0].source} and ends at {symbols[-1].target}"
         reason = f"{ends}; only a walk that ends where it starts can be repeated"
         raise InputError(f"repeat = {repeat}: {reason}", key="repeat")
+    # A repeated walk has one more stop, from its last symbol to its first.
     stops = len(walk) - (repeat == 1)
     if len(wraps) != stops:
         places = "between its symbols" + (", and from its last to its first" if repeat > 1 else "")
@@ -107,10 +110,15 @@ def _expanded(part: WalkPart, saddles: Sequence[str]) -> WalkPart:
 def _law_table(kind: Any) -> Table:
     """Return the table [controller] of a law, which makes its settings and the name of the law that keeps the stops.
 
+    Stops are stays on the sustained orbits of a walk, for which the file may name another law ("none" by default).
     `kind` is the class of the law's settings.
     """
 
     def settings_and_keeper(values: dict[str, Any], _: object) -> tuple[Any, str]:
+        """Return the law's settings and the name of the law that keeps stops, from the table's values by key.
+
+        The second argument, the system of the file's model, is not needed.
+        """
         keep = values.pop("keep", "none")
         return kind(**values), keep
 
@@ -124,6 +132,7 @@ def _part_table(kind: Any) -> Table:
     """
 
     def part_of_values(values: dict[str, Any], system: System | None) -> Part:
+        """Return the part with these values by key, checked and expanded if the model's system is known."""
         return kind(**values) if system is None else _part(kind(**values), system)
 
     return Table(leaves_of(kind), part_of_values)
@@ -178,8 +187,8 @@ def _completed(document: Mapping[str, Any]) -> dict[str, Any]:
 def overridden(loop: LoopSettings, settings: Mapping[str, Any]) -> LoopSettings:
     """Return a run's settings with the values of some paths (`dpcontrol.plans.overrides`) replaced.
 
-    `plant` and `seconds` change an itinerary; see `Itinerary.with_run`. A controller that cannot hand over to a keeper
-    of stops follows the whole reference.
+    `plant` and `seconds` change an itinerary; see `Itinerary.with_run`. The setting `keep` names a law that keeps the
+    sustained orbits of a walk's stops. A controller that cannot hand over to it follows the whole reference.
 
     Args:
         loop: settings of the run.
@@ -556,6 +565,8 @@ def _itinerary(
 
 def _check_together(itinerary: Itinerary) -> None:
     """Reject ends, a level of the reference or a keeper of stops that do not fit the parts.
+
+    The keeper is the law, named by `keep`, that stays on the sustained orbits of a walk's stops.
 
     Raises:
         InputError: names the first setting that does not fit.

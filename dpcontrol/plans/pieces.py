@@ -54,9 +54,14 @@ class Goal(Brief):
     """A walk's shadowing orbit, or a stay of `seconds` at an equilibrium.
 
     Attributes:
+        text: "walk", or the stay in words.
+        where: names of the saddles or equilibria at start and end.
         first, last: angles (n,) of the saddles or equilibria at start and end, including turns.
         start, end: pendulum states (2n,) there.
+        shadowing: orbit of a walk, None for a stay.
         symbols: symbols of a walk, as the itinerary writes them.
+        begin: time of the shadowing orbit at which a walk begins, s, negative if it is extended before its start.
+        seconds: duration, s.
         wraps: at the stop shared with the goal before, or None for a walk in one piece.
         cart: place of the cart, m.
         pace: time of the transfer that leads to it, "" for the itinerary's.
@@ -165,7 +170,8 @@ def solve_pieces(
 ) -> list[SolvedPiece]:
     """Return the pieces of all goals in order, with transfers between them.
 
-    The list ends with a reference that did not converge, because the next piece would start from its end.
+    The list ends with a reference that did not converge, because the next piece would start from its end. Each goal's
+    angles begin at their named values; the lift of its piece adds the whole turns of all pieces before it.
 
     Args:
         itinerary: arms, limits and settings.
@@ -263,6 +269,10 @@ middle, but the pendulum anywhere: an end on the frictionless orbit takes it off
 def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress, *, judged: bool) -> SolvedPiece:
     """Return the solved reference of one goal, a walk or a stay, without transfers.
 
+    If the reference of a judged walk does not converge, it is sought again with an open end of the arms. If it leaves
+    its last orbit by more than 0.05 rad (but less than 0.6), larger weights of the pendulum are tried, also with an
+    open end. The nearest converged reference is returned, or else the one that did not converge.
+
     Args:
         itinerary: arms, limits and settings.
         goal: walk or stay.
@@ -357,6 +367,7 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
     if same_place and before.cart == after.cart:
         return None
     text = f"side-step at {names[0]}" if same_place else " to ".join(names)
+    # Each candidate `way` gives whole turns (n,) to add to the end.
     turns = ways_round(distance_in_turns)
     if not any(walks):
         # Between equilibria a transfer and its mirror image are equivalent.
@@ -385,8 +396,8 @@ def ways_round(apart: Array) -> list[Array]:
 def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, progress: Progress) -> SolvedPiece:
     """Return the piece between two walks about one saddle, which may have different energies.
 
-    It leads from the last orbit of one walk to the first orbit of the next, within about two periods. The guess mixes
-    both orbits.
+    It leads from the last orbit of one walk to the first orbit of the next, within two to three periods, so that it
+    ends in phase. The guess mixes both orbits. If the reference does not converge, its ending names the two energies.
 
     Args:
         itinerary: arms, limits and settings.
@@ -408,7 +419,10 @@ def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, prog
     angle_offset = before.offsets[-1][:n] * 2 * np.pi + lift
 
     def guess(times: Array) -> Array:
-        """Return the pendulum's states (K, 2n) at times (K,), s."""
+        """Return the pendulum's states (K, 2n) at times (K,), s.
+
+        The frequency changes at a constant rate from one orbit's to the other's, and the weight of the states smoothly.
+        """
         share_of_time = np.asarray(times, dtype=float) / duration
         phases = departure + duration * (
             frequencies[0] * share_of_time + (frequencies[1] - frequencies[0]) * share_of_time**2 / 2
@@ -462,6 +476,9 @@ class _Story:
 
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
         """Add the first stop of a piece, and the transfer that leads to it.
+
+        Without a transfer, or if it ends at the previous stop with the cart at the same place, as a change of energy
+        does, the previous stop only gets another orbit. If there is none, the stop is the plan's first one.
 
         Args:
             goal: walk or stay of the piece.
@@ -555,6 +572,7 @@ def content_of_pieces(itinerary: Itinerary, pieces: Sequence[SolvedPiece], begin
             story.transfers.append((float(begin), float(end)))
             transfer_name = piece.text
             continue
+        # A goal with wraps shares its first stop with the goal before.
         if goal.wraps is None:
             story.enter(goal, goal.first + piece.lift, transfer_name)
             story.cart = goal.cart

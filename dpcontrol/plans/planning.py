@@ -94,6 +94,7 @@ def planned(
     )
     reference, begins = joined([piece.reference for piece in pieces])
     content = content_of_pieces(itinerary, pieces, begins)
+    # The last of the begins is the end.
     solved_transfers = [
         (p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None
     ]
@@ -273,6 +274,9 @@ def _kept_walk(
 ) -> Reference:
     """Return the reference of a walk whose stops are stays on sustained orbits, joined by flights.
 
+    A flight follows one connection or more from orbit to orbit. `chain` are the walk's connections, and `solver` finds
+    their shadowing orbits. The lift of a flight (n,) are radians that continue the angles of the flight before.
+
     Raises:
         GoalMissed: a sustained orbit, or a flight's shadowing orbit or reference, was not found.
     """
@@ -413,6 +417,9 @@ def _assembled(
     orbits: dict[str, SustainedOrbit],
 ) -> Reference:
     """Return the reference of a walk with kept stops, joined from its stays and flights, with the content of its plan.
+
+    A stay repeats the period of its sustained orbit, with the whole turns of the flights beside it. There is one stay
+    before each flight and one after the last.
 
     Args:
         itinerary: itinerary of the walk.

@@ -152,8 +152,8 @@ def _plane(m: Any, pose: Any) -> tuple[Array, Array, Array, float]:
 def _arms(m: Any, pose: Any) -> Array:
     """Return the numbers of a robot's arms (n, 9), from MuJoCo's model `m` and its state `pose`.
 
-    Mass, centre of mass, length, inertia, viscous and dry friction, angle, turn, and the distance of the centre of mass
-    from the line between joints, m.
+    Mass, centre of mass, length, inertia, viscous and dry friction, angle from hanging, turn (1 if the hinge turns in
+    the direction of positive angles, else -1), and the distance of the centre of mass from the line between joints, m.
     """
     along, across, gravity, _ = _plane(m, pose)
     plane, rows = np.stack([along, gravity / np.linalg.norm(gravity)]), list[list[Any]]()

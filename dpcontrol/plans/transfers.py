@@ -175,7 +175,10 @@ def find_transfers(
 def _sought(
     wanted: Sequence[Transfer], workers: int, progress: Progress
 ) -> Iterator[tuple[Transfer, tuple[bytes, str]]]:
-    """Yield each transfer with the result of its `search`, in separate processes if there are several transfers."""
+    """Yield each transfer with the result of its `search`, in up to `workers` processes if there are several.
+
+    The result is the bytes of the transfer's file and "", or no bytes and the cause of its absence.
+    """
     if workers > 1 and len(wanted) > 1:
         return in_processes(search, wanted, min(workers, len(wanted)))
     portions = (part_of(progress, k / len(wanted), (k + 1) / len(wanted)) for k in range(len(wanted)))
@@ -212,6 +215,11 @@ def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, s
 
 def find_transfer(wanted: Transfer, progress: Progress = no_progress) -> Reference:
     """Return the reference of a transfer: of several solved first motions, the best one that can be refined.
+
+    Each attempt has a share of the limits, durations of its first motions, and True if these are flights instead of
+    smooth motions. First motions are solved on a coarse mesh. The eight of them with the least effort (for the shortest
+    transfers, duration) are refined in the order of `_rank` until one converges. A motion near which the transfer is
+    sought (`near`) is tried before.
 
     Args:
         wanted: the transfer.
@@ -297,7 +305,11 @@ def _attempts(wanted: Transfer, scale: Scale, *, aside: bool) -> list[tuple[floa
 
 
 def _rank(wanted: Transfer, arms: ArmChainParameters, motion: Trajectory) -> float:
-    """Return the rank of a solved motion among several, the smallest of which is refined first."""
+    """Return the rank of a solved motion among several, the smallest of which is refined first.
+
+    It is the duration for the shortest transfers, otherwise the effort ∫u² times the square of the sensitivity, which
+    is the angles' deviation per relative error of the arms' parameters.
+    """
     return motion.duration if wanted.pace == SHORTEST else sensitivity(arms, motion) ** 2 * motion.effort
 
 

@@ -171,7 +171,10 @@ def identity() -> Any:
 
 
 def _power(base: Any, exponent: Any) -> Any:
-    """Return a ball, complex ball or series raised to a power; whole and half powers need no logarithm."""
+    """Return a ball, complex ball or series raised to a power, a number of the same kinds.
+
+    Whole and half powers, given as a ball, need no logarithm.
+    """
     doubled_exponent = 2 * exponent
     if not (isinstance(doubled_exponent, flint.arb) and doubled_exponent.is_integer()):
         return (_branch(base, "log") * exponent).exp()

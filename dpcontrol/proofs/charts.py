@@ -66,6 +66,9 @@ class SectionChart:
     def lift(self, field: Field, energy: Any, y: Vector) -> tuple[Vector, Any]:
         """Return the states of given energy over a box of coordinates y, in which the energy determines z.
 
+        A state is x̄ + u y_1 + s y_2 + w z, with the chart's node x̄, the growing and shrinking directions u and s, and a
+        direction w in which the energy changes.
+
         Args:
             field: programs of the system.
             energy: ball, in the system's unit.
@@ -177,6 +180,9 @@ def passage(field: Field, normal: Vector, height: Any, state: Vector) -> Passage
 def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, settings: FlowSettings) -> ChartSegment:
     """Enclose the map from the box |y_i| ≤ radii_i of a chart to the box |y_i| ≤ arriving_i of the next chart.
 
+    Here y (2,) are the coordinates of the charts along the growing and the shrinking direction. A thin point, the node
+    of the first chart at the middle energy, is followed without the box's width, and the derivative encloses the rest.
+
     Args:
         surface: energy surface.
         leg: two charts with the flight between them.
@@ -202,6 +208,7 @@ def segment(surface: Surface, leg: Leg, radii: Vector, arriving: Vector, setting
     thin_crossing, box_crossing = (passage(field, normal, chart.coordinates(x, shift)[2], x) for x in (thin, end))
     thin_arrival = [x + thin_crossing.time * f for x, f in zip(thin, thin_crossing.rates, strict=True)]
     moved_tangents = (box_crossing.moved * derivative * tangents).transpose().tolist()
+    # Displacements along each tangent delay the crossing, and are projected onto the plane along the flow.
     *delays, energy_delay = [-dot(normal, column) / dot(normal, box_crossing.rates) for column in moved_tangents]
     projected = [
         [m + f * d for m, f in zip(column, box_crossing.rates, strict=True)]

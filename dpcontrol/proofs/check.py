@@ -151,7 +151,10 @@ class _Flow(ABC):
     angles: int
 
     def __init__(self) -> None:
-        """Start with the longest step `pace`, s; `left` is the number of steps that a file may still use."""
+        """Start with steps of the length `pace`, s, that are at most `longest`.
+
+        `remainder` limits the remainder of a step, and `left` is the number of steps that a file may still use.
+        """
         self.longest, self.remainder = _LONGEST, _REMAINDER
         self.pace, self.left = self.longest, _MOST_STEPS
 
@@ -179,7 +182,8 @@ class _Flow(ABC):
     def late(self, slopes: Any, time: Any) -> Any:
         """Return an enclosure (4, 4) of the flow's derivative after any time up to `time`, s.
 
-        `slopes` encloses Df over a box that the solutions do not leave in this time.
+        `slopes` encloses Df over a box that the solutions do not leave in this time. By Gronwall's inequality, the
+        derivative differs from one by at most exp(|Df| time) - 1, entry by entry.
         """
         grown = (flint.arb_mat(4, 4, [v.abs_upper() for v in slopes.entries()]) * time).exp() - identity()
         return identity() + flint.arb_mat(4, 4, [symmetric(v) for v in grown.entries()])
@@ -191,6 +195,7 @@ class _Flow(ABC):
         """
         coefficients = [[v] for v in x] + [[v] for row in identity().tolist() for v in row[:width]]
         for degree in range(1, order + 1):
+            # Flint keeps as many coefficients of a series as are known.
             flint.ctx.cap = degree
             series = [flint.arb_series(c) for c in coefficients]
             rates = self.rate([_Dual(series[i], series[4 + width * i :][:width]) for i in range(4)])
@@ -213,6 +218,7 @@ class _Flow(ABC):
             image = [v + time * r for v, r in zip(x, self.slopes(box)[0], strict=True)]
             if all(r in b for r, b in zip(image, box, strict=True)):
                 return box
+            # The next trial holds the start and the image, with an eighth more on all sides.
             box = [r.union(v) + symmetric((r - v) / 8 + number("1e-25")) for r, v in zip(image, x, strict=True)]
         raise NotClosed("a step's box does not close")
 
@@ -232,6 +238,7 @@ class _Flow(ABC):
             NotClosed: the step is too long for its box or its remainders.
         """
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
+        # The ball 0.5 ± 0.5 times h holds all times of the step.
         step_box = self.rough(box, h * flint.arb(0.5, 0.5))
 
         def ahead(near: Sequence[Any], last: Sequence[Any], time: Any = h) -> list[Any]:
@@ -240,6 +247,7 @@ class _Flow(ABC):
                 sum((v * time**k for k, v in enumerate(c)), r * time ** len(c)) for c, r in zip(near, last, strict=True)
             ]
 
+        # Lagrange's remainder is the next coefficient, enclosed over all states of the step.
         state_rest = [c[-1] for c in self.series(step_box, _ORDER + 1, 0)]
         # Coefficient k along a solution equals the coefficient at its state times the derivative.
         box_rest = [c[-1] for c in self.series(step_box, _BOX_ORDER + 1, 4)]
@@ -256,6 +264,10 @@ class _Flow(ABC):
 
     def flight(self, x: Sequence[Any], spread: Any, duration: Fraction) -> tuple[list[Any], Any, list[list[Any]]]:
         """Integrate a thin point and the derivative over its box for a duration, with steps that are short enough.
+
+        A thin point is a box (4,) that is no wider than the rounding errors about one state. The flow's derivative over
+        the wide box about it, times the difference of two states at the start, encloses their difference at the end.
+        Steps that fail are halved; each flight begins with twice the last length.
 
         Args:
             x: thin point (4,).
@@ -353,7 +365,10 @@ _SYSTEMS = {"double pendulum": _Pendulum, "three bodies": _ThreeBodies}
 class _Chart:
     """The plane through a node along u, s and w, on which the energy determines w's coordinate z over a box.
 
-    For an interval of energies, boxes move along the tilt, by at most their distance `within` from the middle.
+    The basis consists of the growing direction u, the shrinking direction s, the flow f and a direction w in which the
+    energy changes. The coordinates y along u and s are those of boxes. `rows` is the inverse of the basis, and `level`
+    the energy of the node minus the middle one. For an interval of energies, boxes move along the tilt, the change (2,)
+    of y with the energy, by at most their distance `within` from the middle.
     """
 
     def __init__(self, flow: _Flow, data: Mapping[str, Any], energy: Any, within: Any) -> None:
@@ -409,7 +424,10 @@ class _Chart:
 def _segment(
     flow: _Flow, charts: tuple[_Chart, _Chart], widths: Sequence[Any], duration: Fraction, turns: Sequence[int]
 ) -> ChartSegment:
-    """Enclose the map from a box of one chart to the next chart.
+    """Enclose the map from a box of one chart to the next chart, at all energies of the charts.
+
+    Charts are planes through nodes with coordinates y along u and s, see `_Chart`. The result holds the map of the node
+    of the first box, its derivative over the box and the durations.
 
     Args:
         flow: integrator of the system.
@@ -430,11 +448,13 @@ def _segment(
     tangents = first.basis * flint.arb_mat(
         [[1, 0, first.tilt[0]], [0, 1, first.tilt[1]], [0, 0, 0], [-along / across, -beside / across, rise]]
     )
+    # At y = 0, the middle energy determines z up to the derivative of H along w.
     thin_start, _ = first.box([flint.arb(0)] * 2, -first.level / first.box([flint.arb(0)] * 2, z)[1][3])
     spread = flint.arb_mat([[x - c] for x, c in zip(states, thin_start, strict=True)])
     end, derivative, boxes = flow.flight(thin_start, spread, duration)
     ends = [c + d for c, d in zip(end, (derivative * spread).entries(), strict=True)]
     normal = second.rows[2]
+    # Twice the estimated time to the second chart's plane, before or after the end of the flight.
     reach = symmetric(2 * second.away(2, ends, shift) / dot(normal, flow.slopes(ends)[0])) + symmetric(number("1e-30"))
     crossing_box = flow.rough(ends, reach)
     rates, slopes = flow.slopes(crossing_box)
@@ -443,6 +463,7 @@ def _segment(
     if not abs(time) < reach.abs_upper():
         raise NotClosed("a box is not proved to meet the next chart once")
     moved_tangents = (flow.late(slopes, reach) * derivative * tangents).transpose().tolist()
+    # Displacements along each tangent delay the crossing, and are projected onto the plane along the flow.
     *delays, energy_delay = [-dot(normal, column) / speed for column in moved_tangents]
     projected = flint.arb_mat(
         [
@@ -472,6 +493,10 @@ _KEYS = {
 def _checked_network(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     """Return the statement of a certificate of orbits and links, after proving it.
 
+    A link is a chain of boxes from orbit to orbit, each of which the flow stretches across the next one. If the
+    certificate states wraps and entropy, the marks of links (their boxes on their sections) are also proved to be
+    apart, and both numbers are proved.
+
     Args:
         flow: integrator of the certificate's system.
         data: content of the certificate by key.
@@ -489,7 +514,13 @@ def _checked_network(flow: _Flow, data: Mapping[str, Any], progress: Progress) -
     flow.longest, flow.remainder, flow.left = 2 * _LONGEST, _WIDE_REMAINDER, 10 * _MOST_STEPS
 
     def enclosed(ends: Sequence[Any], widths: Any, duration: Fraction, turns: Sequence[int]) -> ChartSegment:
-        """Enclose the map between the charts of a leg; certificates may not ask for flights of any length."""
+        """Enclose the map between the charts at both ends of a flight of this duration, s; see `_segment`.
+
+        `ends` holds the charts' data, `widths` (2, 2) the half-widths of their boxes.
+
+        Raises:
+            NotClosed: the flight is too long, so that a certificate cannot cause unlimited work, or is not enclosed.
+        """
         if duration > _LONGEST * _MOST_STEPS:
             raise NotClosed("a flight is too long")
         first, second = (charts.setdefault(repr(end), _Chart(flow, end, energy, within)) for end in ends)
@@ -546,6 +577,8 @@ def check(certificate: Mapping[str, Any], progress: Progress = no_progress) -> C
 def _checked_pieces(data: Mapping[str, Any], progress: Progress) -> CertificateCheck:
     """Return the verdict on a certificate of several intervals of energies, which must be proved and leave no gap.
 
+    `data` is the certificate's content by key; each of its "pieces" is the certificate of one interval.
+
     Raises:
         NotClosed: the intervals leave a gap, or the statement is not that of the intervals.
     """
@@ -586,16 +619,19 @@ def check_file(file: Path, progress: Progress = no_progress) -> CertificateCheck
 def _trace_of_product(maps: Sequence[Any]) -> Any:
     """Return an enclosure of the trace of the flow's derivative over a closed orbit's period, from which λ follows.
 
-    The factors are a closed orbit's derivatives (4, 4), the first one first.
+    `maps` holds the derivatives (4, 4) of the flow from node to node of a closed orbit, in order. λ is the orbit's
+    unstable multiplier.
 
     A plain product of enclosures loses all digits over a hundred nodes. In frames that follow the orbit, each factor is
     nearly triangular, with the directions of growth in order, and the errors grow no faster than the product.
     """
+    # The frames of a second period no longer depend on the first frame.
     frames_along = accumulate(
         [*maps, *maps], lambda frame, factor: np.linalg.qr(_middle(factor) @ frame)[0], initial=np.eye(4)
     )
     frames = [flint.arb_mat(frame.tolist()) for frame in frames_along][len(maps) :]
     product = identity()
+    # There is one more frame than maps: the one after the last map.
     for factor, before, after in zip(maps, frames, frames[1:], strict=False):
         product = after.inv() * factor * before * product
     return (product * frames[0].inv() * frames[-1]).trace()
@@ -646,6 +682,7 @@ def _checked(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
         )
         flights.append([*boxes, end_box])
         rates, slopes = flow.slopes(end_box)
+        # Durations are unknowns too, which may differ by `unique`.
         derivative = flow.late(slopes, unique) * derivative
         maps.append(derivative)
         for i in range(4):
@@ -660,6 +697,7 @@ def _checked(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     residual[last] = flow.energy(nodes[0]).value - number(data["energy"]) + within
     matrix[last][:4] = [p * s for p, s in zip(flow.energy(start).partials, scale, strict=True)]
     _check_solution(matrix, residual, exists)
+    # H(x_0 + ε v) = H(x_0) implies ε = 0 only if H changes along v everywhere in between.
     moved_box = [x + p * symmetric(unique) for x, p in zip(start, direction, strict=True)]
     if dot(flow.energy(moved_box).partials, direction).contains(0):
         raise NotClosed("the energy does not determine the orbit")
@@ -676,6 +714,9 @@ def _checked(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
 
 def _check_solution(matrix: Sequence[Sequence[Any]], residual: Sequence[Any], exists: Any) -> None:
     """Prove by Newton–Kantorovich that the equations have a solution within `exists` of the certificate's numbers.
+
+    With an approximate inverse A of the derivative, this holds if A times the derivative differs from one by less than
+    one (`contraction`) and A times the residual (`first`) is at most (1 - contraction) · exists.
 
     Args:
         matrix: derivative (M, M) of the equations over the ball of uniqueness.

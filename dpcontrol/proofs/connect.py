@@ -128,8 +128,9 @@ def _charts(states: Array, bases: Array, tilts: Array | None) -> list[dict[str, 
 def _tilts(system: System, states: Array, bases: Array, stms: Array, ends: tuple[float, float] | None = None) -> Array:
     """Return the change (K, 2) with the energy of an orbit's coordinates y at its nodes, in doubles.
 
-    A closed orbit has as many state-transition matrices as nodes. Another orbit starts with the s and ends with the u
-    of `ends`.
+    Boxes of an interval of energies move by it. The coordinates y_1 along u (growing) and y_2 along s (shrinking) are
+    those of the nodes' charts, and z is that along w, in which the energy changes. A closed orbit has as many
+    state-transition matrices as nodes. Another orbit starts with the s and ends with the u of `ends`.
 
     Args:
         system: system of the orbit.
@@ -142,8 +143,10 @@ def _tilts(system: System, states: Array, bases: Array, stms: Array, ends: tuple
     chart_maps = np.linalg.inv(np.roll(bases, -1, axis=0)[: len(stms)]) @ stms @ bases[: len(stms)]
     slopes = np.einsum("kn,knm->km", system.numeric.gradient(states), bases)[: len(stms)]
     # Coordinate z follows from the energy: z = (1 - H_u y_1 - H_s y_2) / H_w.
+    # H_u, H_s and H_w are the derivatives of the energy along u, s and w.
     energy_shifts = chart_maps[:, :2, 3] / slopes[:, 3:]
     plane_maps = chart_maps[:, :2, :2] - energy_shifts[:, :, None] * slopes[:, None, :2]
+    # Each tilt follows from the one before: tilt_{k+1} - plane_map_k tilt_k = energy_shift_k.
     matrix, right_side = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
     for k, (plane_map, energy_shift) in enumerate(zip(plane_maps, energy_shifts, strict=True)):
         rows, next_columns = slice(2 * k, 2 * k + 2), 2 * ((k + 1) % count)
@@ -179,7 +182,11 @@ def enclosure_of(surface: Surface, scale: Array, settings: FlowSettings) -> Encl
     """
 
     def enclosed(charts: Sequence[Any], widths: Any, duration: Fraction, turns: Sequence[int]) -> Any:
-        """Enclose the map between two charts in decimals, see `segment`."""
+        """Enclose the map between two charts, given as decimals, over boxes about their nodes; see `segment`.
+
+        `widths` (2, 2) holds the boxes' half-widths, `duration` the flight time, s, and `turns` (N,) the whole turns by
+        which the second chart is shifted.
+        """
         first, second = map(chart_of, charts)
         return segment(surface, Leg(first, second, duration, tuple(turns)), widths[0], widths[1], settings)
 
@@ -188,6 +195,9 @@ def enclosure_of(surface: Surface, scale: Array, settings: FlowSettings) -> Encl
 
 def orbit_data(orbit: LyapunovOrbit, radius: float, *, tilted: bool) -> dict[str, Any]:
     """Return charts, half-widths and durations of boxes around a periodic orbit, each of which must cover the next one.
+
+    A chart is a node of the orbit with the basis of the section through it. A box covers the next one if its image
+    under the flow is longer than it in the growing direction and narrower in the shrinking one.
 
     Args:
         orbit: periodic orbit.
@@ -222,11 +232,16 @@ def link_data(
     Args:
         route: computed orbit.
         ends: index of the first and of the last orbit.
-        orbits: numbers of all orbits.
+        orbits: numbers of all orbits, see `orbit_data`.
         radius: largest half-width of the boxes.
         rivals: connections that the orbit must not follow, None without such a claim.
+
+    Returns:
+        The numbers from which `proved_link` proves the link. The boxes lie between box `leaves` of the source orbit and
+            box `joins` of the target orbit.
     """
     system, stops, (source, target) = route.orbit.system, route.stops, (orbits[k] for k in ends)
+    # The route's first and last nodes have the phases of boxes `first` and `last` of its two orbits.
     times, first, last = phased_times(route.orbit, route.times, stops, radius)
     states, durations = route.orbit.sample(times), np.diff(times)
     marks = [int(k) for k in np.searchsorted(times, route.times)]
@@ -252,6 +267,7 @@ def link_data(
             route.times, route.times[1:], route.connections, route.connections[1:], strict=False
         )
     ]
+    # Joints are the nodes after the middles of the stops, which divide the segments among the symbols.
     joints = [int(k) for k in np.searchsorted(times, middle_times)]
     segments = zip([0, *(k + 1 for k in joints)], [*joints, len(times)], strict=True)
     departs, arrives = route.connections[0], route.connections[-1]
@@ -281,7 +297,9 @@ def _carried(chart: Mapping[str, Any], base: Array) -> Array:
 def transversality(surface: Surface, connection: Connection, proved: CoveringLink, orbits: Sequence[OrbitBoxes]) -> Any:
     """Enclose the angle between both tubes' cuts in (q, p/p₀) at the first mark of a link, deg.
 
-    The result is None if the cones are not proved to be disjoint. Covering relations do not need it.
+    The tangents of the unstable manifold lie in a cone that is propagated forward from the source orbit's boxes, and
+    those of the stable one in a cone propagated backward from the target's. The result is None if the cones are not
+    proved to be disjoint. Covering relations do not need it.
 
     Args:
         surface: energy surface.
@@ -323,6 +341,7 @@ def _angle(surface: Surface, connection: Connection, chart: SectionChart, state:
     momenta, scale = surface.field.momenta(crossing.around)[0], ball(momentum_scale(connection.source.system, section))
     plane_directions = []
     for first, second in ((flint.arb(1), slopes[0]), (slopes[1], flint.arb(1))):
+        # Tangent vector of the cone at the crossing, then projected onto the section along the flow.
         v = [first * a + second * b for a, b in zip(*tangents[:2], strict=True)]
         v = [a - f * dot(normal, v) / dot(normal, crossing.rates) for a, f in zip(v, crossing.rates, strict=True)]
         momentum = [dot([momenta[i + 2 * j] for j in range(4)], v) for i in range(2)]

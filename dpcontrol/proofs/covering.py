@@ -94,8 +94,11 @@ class Enclosure:
     ) -> list[ChartSegment]:
         """Return the maps of a chain in which each box covers the next one.
 
+        A box covers the next one if its image under the flow is longer than it in u, the growing direction, and
+        narrower in s, the shrinking direction.
+
         Args:
-            charts (K + 1,): the chain's charts.
+            charts (K + 1,): the chain's charts, as `segment` takes them.
             widths (K + 1, 2): half-widths of the boxes.
             durations (K,): flight times, s.
             turns (N,): whole turns at the end of the chain.
@@ -111,6 +114,7 @@ class Enclosure:
             with located(f"in segment {k} of {len(durations)}:"):
                 shift = turns if k == len(durations) else [0] * len(turns)
                 leg = self.segment(ends, [[u, s], [next_width, next_height]], fraction(duration), shift)
+                # Derivatives of the coordinates (u, s) after the flight by those before it.
                 (a, b), (c, d) = leg.slope.tolist()
                 stretches = abs(a) * u - abs(b) * s - abs(leg.value[0]) > next_width
                 if not (stretches and abs(c) * u + abs(d) * s + abs(leg.value[1]) < next_height):
@@ -123,8 +127,8 @@ def forward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
     """Return the cone of growing directions after a segment, as a ball of slopes, and the least growth in it.
 
     Args:
-        leg: segment.
-        slope: slopes s over u before it.
+        leg: segment, whose derivative (a, b; c, d) maps the coordinates (u, s) before it to those after it.
+        slope: ball of slopes s over u before it.
     """
     (a, b), (c, d) = leg.slope.tolist()
     return (c + d * slope) / (a + b * slope), abs(a + b * slope)
@@ -134,8 +138,8 @@ def backward(leg: ChartSegment, slope: Any) -> tuple[Any, Any]:
     """Return the cone of shrinking directions before a segment, as a ball of slopes, and its least backward growth.
 
     Args:
-        leg: segment.
-        slope: slopes u over s after it.
+        leg: segment, whose derivative (a, b; c, d) maps the coordinates (u, s) before it to those after it.
+        slope: ball of slopes u over s after it.
     """
     (a, b), (c, d) = leg.slope.tolist()
     return (d * slope - b) / (a - c * slope), abs((a - c * slope) / (a * d - b * c))
@@ -172,6 +176,9 @@ class OrbitBoxes:
 
 def orbit_boxes(data: Mapping[str, Any], enclosure: Enclosure) -> OrbitBoxes:
     """Return the boxes about a periodic orbit, after proving that they cover one another and have invariant cones.
+
+    The cone of growing directions has slopes (s over u) of at most one. It is invariant if its images stay in it over a
+    round, in which lengths must more than double. The same must hold backward for shrinking directions (u over s).
 
     Args:
         data: charts, half-widths and durations.
@@ -240,6 +247,7 @@ def proved_link(data: Mapping[str, Any], orbits: Sequence[Mapping[str, Any]], en
     Raises:
         NotClosed: a covering or a symbol is not proved.
     """
+    # The chain begins at box `leaves` of its source orbit and ends at box `joins` of its target orbit.
     ends = [(orbits[int(data[key])], int(data[index])) for key, index in (("source", "leaves"), ("target", "joins"))]
     charts, widths = (
         [ends[0][0][key][ends[0][1]], *data[key], ends[1][0][key][ends[1][1]]] for key in ("charts", "widths")
@@ -301,6 +309,8 @@ class Network:
     def check_marks(self) -> None:
         """Prove that no step along other boxes meets the mark of a link, which includes that links are distinct.
 
+        The mark of a link is its box on its section.
+
         Raises:
             NotClosed: a step is not proved to avoid a mark, or a link has more than one mark.
         """
@@ -311,9 +321,9 @@ class Network:
             raise NotClosed(f"{chain_name} is not proved to avoid the box of link {k} on its section")
 
     def passages(self) -> Iterator[tuple[int, int]]:
-        """Yield each link and the number of a chain that is not proved to avoid its mark.
+        """Yield each link and the number of a chain that is not proved to avoid its mark, its box on its section.
 
-        Links count from 1, and the last orbit has number 0.
+        Links count from 1, and the last orbit has number 0. The legs beside a link's own mark are not tested.
         """
         chains = [row.legs for row in (*self.orbits, *self.links)]
         for k, link in enumerate(self.links, start=1):
@@ -345,10 +355,14 @@ class Network:
     def fewest_wraps(self) -> list[list[int | None]]:
         """Return the fewest wraps of a passage from each link to each other (L, L), None if they do not share an orbit.
 
+        A passage leads from the mark of one link, its box on its section, along the boxes of the orbit between them to
+        the mark of the next link. More wraps are possible by further rounds.
+
         Raises:
             NotClosed: a duration does not determine its wraps, or orbits of different walks are not proved to separate.
         """
         leg_times = [link.legs[k].time for link in self.links for k in (link.marks[0] - 1, link.marks[0])]
+        # This is 2η of the module's text: passages that differ by more separate the orbits of different walks.
         least_difference = 2 * reduce(lambda a, b: a.max(b), leg_times)
 
         def fewest(link: CoveringLink, other: CoveringLink) -> int | None:
@@ -376,7 +390,10 @@ class Network:
     def has_entropy(self, rate: Any) -> bool:
         """Return True if the topological entropy is proved to be at least a rate.
 
-        Walks are counted by the matrix M(h) of the module's text, whose rows and columns are the orbits.
+        Walks are counted by the matrix M(h) of the module's text, whose rows and columns are the orbits. Its entries
+        are sums of exp(-h τ) over the rounds and links from the first box of one orbit to that of another, with their
+        durations τ. The entropy is at least h if M(h) v ≥ v for a vector v ≥ 0, for which the largest eigenvalue's
+        vector is tried.
 
         Args:
             rate: the rate h, a ball, per time unit.

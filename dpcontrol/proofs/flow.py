@@ -183,6 +183,10 @@ def tangent(field: Field, x: list[Vector], order: int) -> list[Any]:
 def disc(field: Field, x: list[Vector], radius: Any, guess: Vector | None) -> tuple[Any, Vector, Any] | None:
     """Return a disc of complex times on which a step's solutions are proved to be analytic, None if it does not close.
 
+    A trial of the distance ε between the solutions and their polynomials, of which `guess` is the first, is proved if
+    the defect of the polynomials over the disc and within ε needs no larger one. Otherwise the next trial is a quarter
+    larger than needed. The disc does not close after four trials, or if a bound is infinite.
+
     Args:
         field: programs of the system.
         x: Taylor coefficients of the states, N rows.
@@ -219,6 +223,10 @@ def fly(
 ) -> tuple[Vector, Any, Vector, list[Vector]]:
     """Enclose the flow from a thin point, with derivatives over a box.
 
+    A thin point is a box that is no wider than the rounding errors about one state. The derivative over the wide box
+    about it, times `spread`, encloses the differences between both at the end. The length of each step follows from a
+    disc of complex times on which its solutions are analytic.
+
     Args:
         field: programs of the system.
         start: thin point (N,).
@@ -238,6 +246,7 @@ def fly(
         failure = NotClosed(f"the enclosure at {float(elapsed):.4g} s of a segment's flight does not close")
         box = [c + d for c, d in zip(thin, (carried * spread).entries(), strict=True)]
         thin_series, box_series = taylor(field, thin, settings.order), taylor(field, box, settings.box_order)
+        # Smaller discs are tried in turn, the first one with the last step's ε.
         disc_radius = min(_convergence(thin_series), disc_radius * _GROWTH)
         attempts = (
             disc(field, box_series, ball(disc_radius * 0.85**k), None if k else guess) for k in range(_MOST_TRIES)
@@ -249,9 +258,11 @@ def fly(
         disc_radius, guess = float(radius), [flint.arb((b * 9 / 8).upper()) for b in bounds]
         step = min(Fraction(disc_radius * settings.left ** (1 / (settings.order + 1))), duration - elapsed)
         h = ball(step)
+        # The ball 0.5 ± 0.5 times h holds all times of the step.
         ratio, times = h / radius, flint.arb(0.5, 0.5) * h
         if not ratio < 1:
             raise failure
+        # Cauchy's estimate bounds the rest of a Taylor series by a geometric series.
         tail, box_tail = (ratio ** (order + 1) / (1 - ratio) for order in (settings.order, settings.box_order))
         polynomials, remainder_share = (
             [c[: _ROUGH + 1] for c in box_series],

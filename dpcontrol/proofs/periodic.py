@@ -41,6 +41,8 @@ Chain = tuple[Leg, ...]
 def closed_chain(system: System, states: Array, durations: Array, turns: Sequence[int]) -> Chain:
     """Return a closed orbit as a chain of legs from chart to chart, the last of which has its whole turns.
 
+    A chart is a node with a basis of the section through it, and a leg is the flight from one chart to the next.
+
     Args:
         system: system of two degrees of freedom.
         states: nodes (K, N).
@@ -67,8 +69,11 @@ def enclose(
 ) -> list[ChartSegment]:
     """Enclose the maps from chart to chart of a chain over boxes, in order.
 
+    A chart is a node of an orbit with two coordinates y on the section through it; a leg is the flight between two
+    charts. Each map is that of the flow from a box |y_i| ≤ width_i to the next section, with its derivative.
+
     Args:
-        surface: energy surface.
+        surface: equations and energy.
         chain: legs (K,).
         widths: half-widths (K + 1, 2) of the boxes, including those of the last leg's end.
         settings: settings of the integrator.
@@ -98,7 +103,15 @@ def even(chain: Chain, radius: Any) -> list[list[Any]]:
 
 @dataclass(frozen=True)
 class KantorovichBounds:
-    """Result of Newton–Kantorovich: radii of existence and uniqueness, and the step."""
+    """Result of Newton–Kantorovich, whose numbers Y and Z are those of the module's text.
+
+    Attributes:
+        residual: Y, the largest component of the Newton step, a ball.
+        contraction: Z, the largest row sum of the derivative's deviation, a ball.
+        exists: radius about the nodes within which the solution is, Y/(1 - Z).
+        unique: radius about the nodes within which there is no other solution.
+        step (2 K,): the Newton step in the coordinates y of the K charts.
+    """
 
     residual: Any
     contraction: Any
@@ -115,8 +128,10 @@ class KantorovichBounds:
 def newton(segments: Sequence[ChartSegment], radius: Any) -> KantorovichBounds:
     """Apply the theorem of Newton–Kantorovich to a closed chain over boxes of one radius.
 
+    The unknowns are two coordinates of the orbit in the chart of each of its nodes.
+
     Args:
-        segments: enclosures over the boxes, in order.
+        segments: enclosed maps from chart to chart over the boxes, in order.
         radius: half-width in both coordinates.
 
     Returns:
@@ -124,6 +139,7 @@ def newton(segments: Sequence[ChartSegment], radius: Any) -> KantorovichBounds:
     """
     size = 2 * len(segments)
     rows = [[flint.arb(0)] * size for _ in range(size)]
+    # Rows are the derivatives of g_k(y_k) - y_{k+1}, for the map g_k from chart k to the next one.
     for k, piece in enumerate(segments):
         for i, slopes in enumerate(piece.slope.tolist()):
             rows[2 * k + i][2 * k : 2 * k + 2] = slopes
@@ -141,8 +157,8 @@ def improved(surface: Surface, chain: Chain, segments: Sequence[ChartSegment], b
     """Return the chain after a Newton step, with the durations up to the moved sections, rounded to decimals.
 
     Args:
-        surface: energy surface.
-        chain: legs (K,).
+        surface: equations and energy.
+        chain: legs (K,), the flights from node to node.
         segments: their enclosures (K,).
         bounds: Newton step.
     """

@@ -219,8 +219,9 @@ def orbit_certificate(
 ) -> dict[str, Any] | None:
     """Return the certificate of a closed chain with its claims on symbols.
 
-    Only chains with proved multipliers have one. Its radii include a margin for the enclosures of module check, which
-    confirms its bounds.
+    A chain is a closed sequence of legs, the flights from node to node of an orbit. The result is None without a proof
+    that a multiplier is off the unit circle, or without a model file. Its radii include a margin for the enclosures of
+    module check, which confirms its bounds.
 
     Args:
         system: system of the orbit.
@@ -235,9 +236,11 @@ def orbit_certificate(
         return None
     radius_of_existence = max(100 * float(bounds.exists), _LEAST_RADIUS)
     durations = [leg.duration for leg in legs]
+    # Each duration is an unknown within the radius; twice their sum leaves a margin.
     reach = Fraction(radius_of_existence) * 2 * len(durations)
     content = {
         "nodes": [leg.first.node for leg in legs],
+        # Column 2 of the basis is the flow. Its scaled direction is the normal of the node's section.
         "normals": [
             [float(row[2]) / s**2 for row, s in zip(leg.first.basis, system.scale.tolist(), strict=True)]
             for leg in legs
@@ -264,8 +267,11 @@ def proved_chain(
 ) -> tuple[list[ChartSegment], KantorovichBounds]:
     """Prove that a chain contains exactly one orbit, and return its enclosures and the Newton step.
 
+    A chain is a closed sequence of legs, the flights from node to node of a computed orbit. The orbit is sought in
+    balls of one radius about all nodes; a radius closes if Newton–Kantorovich proves a solution in them.
+
     Args:
-        surface: energy surface.
+        surface: equations and energy.
         chain: legs (K,).
         settings: radii and integrator.
         progress: called with a label and the completed share.
@@ -384,6 +390,10 @@ def prove_walk(
 ) -> Proof:
     """Prove existence of a walk's orbit, and its symbols; that of a closed walk is unique.
 
+    `prove_network` proves an open walk. For a closed one, `work` returns the proof at the precision that `attempted`
+    sets, and raises NotClosed at the first step that does not close. It gives each symbol the segments (`stretches`)
+    between two joints, which are the segments in the middle of the stops, and its marked node on the section.
+
     Args:
         walk: computed orbit of a walk.
         energy: exact energies, J.
@@ -460,7 +470,13 @@ def prove_network(
 ) -> Proof:
     """Prove connections or an open walk by covering relations, or the graph of all connections with its entropy.
 
-    A connection that is not proved fails the proof, except in a graph, which is then proved without it.
+    A connection that is not proved fails the proof, except in a graph, which is then proved without it. Of two links
+    whose chains are not proved to avoid each other's box on the section, a graph has the first one only. Walks on the
+    links of a graph are realised without the links that are left out.
+
+    `work` returns the proof of the links along `routes` at the precision that `attempted` sets. It raises NotClosed if
+    the boxes of an orbit do not cover one another, or if orbits of different walks are not proved to differ. `ends`
+    holds the indices of the two orbits that a route leaves and joins.
 
     Args:
         kind: "connection", "walk", "horseshoe" or "graph".
@@ -484,6 +500,7 @@ def prove_network(
     stated = f"{system.name} at {energy}: {network_stated(kind, routes)}"
 
     def work() -> Proof:
+        """Return the proof of the links between the orbits; NotClosed is raised at the first step that fails."""
         surface, failed = surface_of(system, energy), list[str]()
         enclosure = enclosure_of(surface, system.scale, settings.links)
         numbers = [orbit_data(orbit, settings.box, tilted=energy.within > 0) for orbit in orbits.values()]
@@ -506,7 +523,6 @@ def prove_network(
             except NotClosed as error:
                 failed.append(f"{route.name}: {error}")
         if kind == "graph":
-            # Walks on these links are realised without the others.
             apart = network.apart()
             failed += [f"{proved[k].name}: not proved to be apart" for k in range(len(proved)) if k not in apart]
             link_figures, proved = [link_figures[k] for k in apart], [proved[k] for k in apart]
@@ -567,14 +583,16 @@ def over_range(energies: Energies, prove: Callable[[Energies], Proof]) -> Proof:
 def network_claims(network: Network, kind: str) -> dict[str, Any]:
     """Return the fewest wraps and the entropy of a graph or a horseshoe, after proving that its walks differ.
 
-    The check confirms the entropy with its own enclosures of durations.
+    Wraps are rounds about an orbit between two links, and the entropy is the growth rate of the number of walks. The
+    check confirms the entropy with its own enclosures of durations.
 
     Args:
         network: proved links.
         kind: "connection", "walk", "horseshoe" or "graph".
 
     Returns:
-        "wraps", "entropy" per time unit, and "least", the fewest wraps (L, L) between links; nothing for other kinds.
+        "wraps", the largest of the fewest wraps between two links; "entropy" per time unit; and "least", the fewest
+            wraps (L, L) between links. Empty for the other kinds.
 
     Raises:
         NotClosed: orbits of different walks are not proved to separate.

@@ -84,12 +84,15 @@ def statement(data: Mapping[str, Any]) -> str:
 
 
 def _parameters(data: Mapping[str, Any], keys: Sequence[str]) -> list[str]:
-    """Return the line on the system's parameters with these keys."""
+    """Return the line on the parameters with these keys of the system in a certificate's content."""
     return ["parameters: " + "; ".join(f"{key} {', '.join(map(_exact, data['system'][key]))}" for key in keys)]
 
 
 def _network(data: Mapping[str, Any], angles: int) -> list[str]:
-    """Return the sentences on a network of orbits and links; `angles` is the number of coordinates that turn."""
+    """Return the sentences on a network of orbits and of links, the chains of boxes that lead from orbit to orbit.
+
+    `data` is the certificate's content by key, and `angles` the number of coordinates that turn.
+    """
     orbits = counted(len(data["orbits"]), "ring")
     lines = [
         f"at {_energies(data)}, each of {orbits} of boxes contains exactly one orbit of the "
@@ -154,7 +157,7 @@ def _widest(data: Mapping[str, Any]) -> str:
 
 
 def _number(value: Any) -> str:
-    """Return a decimal with seven digits."""
+    """Return an integer or a decimal, as certificates hold it, with seven digits."""
     return f"{float(fraction(value)):.7g}"
 
 
@@ -171,7 +174,8 @@ def _rest(claim: Mapping[str, Any]) -> str:
 def _symbol(data: Mapping[str, Any], k: int, angles: int) -> str:
     """Return the sentence on symbol `k` of a closed walk, counted from zero: its stops, crossings, node and wraps.
 
-    `angles` is the number of coordinates that turn.
+    `data` is the certificate's content by key, and `angles` the number of coordinates that turn. A claim of `symbols`
+    has the entries that `check_symbols` lists.
     """
     claims, count = data["symbols"], len(data["nodes"])
     claim, before, after = claims[k], claims[k - 1], claims[(k + 1) % len(claims)]

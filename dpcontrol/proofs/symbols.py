@@ -39,7 +39,7 @@ def described(section: Any) -> dict[str, Any]:
     """Return a Poincaré section as decimals, which certificates hold and `crossings` reads.
 
     Args:
-        section: section with normal (N,) and side.
+        section: a `Section` of module propagator.
     """
     side = (0.0,) * len(section.normal) if section.side is None else section.side
     return {
@@ -63,6 +63,10 @@ def period_of(section: Mapping[str, Any]) -> Any:
 
 def crossings(section: Mapping[str, Any], boxes: Sequence[Vector], rates: Callable[[Vector], Vector]) -> list[range]:
     """Return the valid section crossings along a flight, each as the boxes in which it may occur.
+
+    The section consists of parallel planes, its sheets. Boxes between two that lie on different sheets without meeting
+    a plane hold as many crossings as there are planes between them. Crossings on the wrong side of the section's
+    condition are left out.
 
     Args:
         section: numbers of `described`.
@@ -133,7 +137,14 @@ class Enclosed:
 def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
     """Prove that an orbit follows the symbols of a walk: their sections, connections, windings and wraps.
 
-    An open orbit has no next mark after its last symbol, and therefore no wraps there.
+    An open orbit has no next mark after its last symbol, and therefore no wraps there. A claim has these entries:
+
+        section              numbers of `described`
+        node, hits           the marked node on the section, and the numbers of its crossing from either end
+        segments             first and last segment of the symbol, from stop to stop
+        turns, states        whole turns (N,) up to the symbol; states (N,) of its connection and then of its rivals
+        stop, stop_turns     the saddle (N,) of the stop after the symbol, and whole turns (N,) up to it
+        wraps, period, rest  wraps at this stop, its orbit's period, and the time between marks without wraps, s
 
     Args:
         claims: claims in the order of the symbols.
@@ -147,6 +158,7 @@ def check_symbols(claims: Sequence[Mapping[str, Any]], flown: Enclosed) -> None:
     edges = [edge for claim in claims for edge in (claim["segments"][0], claim["node"], claim["segments"][1])]
     turn_counts = [turn_count for claim in claims for turn_count in (claim["turns"], claim["stop_turns"])]
     symbols_adjoin = [edge + 1 for edge in edges[2:-1:3]] == edges[3::3] and (edges[0], edges[-1]) == (0, count - 1)
+    # Each symbol starts with the whole turns of the stop before it, the first one without any.
     if (
         not symbols_adjoin
         or edges != sorted(edges)

@@ -89,7 +89,8 @@ def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
         [equations.state, equations.inputs, equations.parameters],
         [ca.jacobian(equations.rate, equations.parameters)],
     )
-    # The cart is at rest: terms in its velocity cancel to rounding.
+    # A generic state of the arms, at which no effect vanishes. The cart is at rest: terms in its velocity cancel to
+    # rounding.
     sample_state = np.append(np.sqrt(np.arange(2.0, equations.dimension)), [0.0, 0.0])
     effects = np.abs(np.array(ca.densify(slopes(sample_state, 0.0, problem.parameters)))).max(0)
     has_effect = effects > _ROUNDING * effects.max()
@@ -248,6 +249,9 @@ def tail(reference: Reference, begin: float, *, seconds: float, turns: Array) ->
         begin: begin of the part, s.
         seconds: duration, s, at most to the end.
         turns: subtracted from the angles (n,), rad.
+
+    Returns:
+        The part. Ends of intervals within 1 ms of its own ends are left out of its mesh.
     """
     end = min(begin + seconds, float(reference.mesh[-1]))
     inside = (reference.mesh > begin + _NODE) & (reference.mesh < end - _NODE)
@@ -372,6 +376,7 @@ def find_reference(
     limits, iterations, seconds, round_number = problem.limits, 0, 0.0, 0
 
     def result(solved: Solved, ending: ReferenceEnding) -> Reference:
+        """Return a solution as the reference of the whole search, which `ending` concludes."""
         return Reference.of(
             solved.trajectory, problem.limits, ending=ending, converged=ending.cause is ReferenceCause.CONVERGED,
             max_error_between_nodes=ending.error, constraint_violation=solved.violation, iterations=iterations,

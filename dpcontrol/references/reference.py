@@ -326,7 +326,7 @@ def save_reference(path: Path | BytesIO, reference: Reference) -> None:
 
 
 def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
-    """Return the reference of a file's header and arrays, after a check that they fit each other.
+    """Return the reference of a file's header (JSON values by key) and arrays, after a check that they fit each other.
 
     Raises:
         ValueError: the file is invalid; so do `LookupError`, `TypeError` and `InputError`.

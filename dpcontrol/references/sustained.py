@@ -283,7 +283,8 @@ class SustainedOrbit(ByReference, Timed):
         a, b = (np.array(v).reshape(n, len(flat_times), -1).transpose(1, 0, 2) for v in values)
         forcing = b[..., 0] * (np.zeros(len(flat_times)) if pulse is None else np.asarray(pulse(flat_times)))[:, None]
         a, forcing = a.reshape(-1, count, n, n), forcing.reshape(-1, count, n)
-        # Unknowns: δx at the points, for each unit vector at the start and for the pulse.
+        # Unknowns: δx at the points, for each unit vector at the start and for the pulse. At each point k,
+        # Σ_j D_kj δx_j = h (A_k δx_k + B_k v_k), with the method's differentiation D and the length h.
         system = np.tile(np.kron(_METHOD.differentiation[:, 1:], np.eye(n)), (len(lengths), 1, 1))
         right_side = np.empty((len(lengths), count * n, n + 1))
         right_side[..., :n] = -np.kron(_METHOD.differentiation[:, :1], np.eye(n))

@@ -175,6 +175,7 @@ def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Ar
     lengths = np.diff(trajectory.mesh)
     dense_states = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), trajectory.states)
     coefficients = power_coefficients(method.points, trajectory.inputs[..., 0])
+    # In powers of the time from the interval's start instead of its share τ.
     coefficients = coefficients / lengths[:, None] ** np.arange(len(method.points))
     errors = np.full(len(lengths), np.inf)
     for i, length in enumerate(lengths):
@@ -224,7 +225,7 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
 def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[float, float]:
     """Return the largest scaled distance of the pendulum from the guess, and its time, s.
 
-    At each time, the nearest of the guess's states within LATENESS before and after counts, because friction delays the
+    At each time, the nearest of the guess's states within 0.3 s before and after counts, because friction delays the
     motion. The scale of an arm's rate is at least a third of its largest rate in the guess, because small arms are
     faster.
 

@@ -43,15 +43,19 @@ Indices = NDArray[np.intp]
 def interval_derivatives(interval: ca.Function, *, columns: Indices, size: int) -> dict[str, Any]:
     """Return the nonlinear program of a mesh and its derivatives for `casadi.nlpsol`, from those of one interval.
 
-    The derivatives are the options grad_f, jac_g and hess_lag. The program has x, f, g and p: the lengths of the
-    intervals (N,), s, and the guess (ng * N,), interval by interval.
-
-    Constraints are ordered by interval.
+    The program has the variables x (size,), the cost f, the constraints g, ordered by interval, and the parameters p:
+    the lengths of the N intervals, s, then their guesses, interval by interval. Its derivatives are the options grad_f
+    (of the cost), jac_g (of the constraints) and hess_lag (second derivatives of the cost times sigma plus the
+    constraints times lam, the upper triangle).
 
     Args:
-        interval: (v, length, guess) -> (constraints, cost) of one interval, SX.
+        interval: (v, length, guess) -> (constraints, cost) of one interval, SX. Its variables v (nv,) are scaled, and
+            its length is in s.
         columns: indices (nv, N) of each interval's v among the variables. Neighbours can share the last block of v.
         size: number of variables.
+
+    Returns:
+        "program" and "options", as `casadi.nlpsol` takes them.
     """
     nv, intervals = columns.shape
     v, length = ca.SX.sym("v", nv), ca.SX.sym("length")
@@ -102,7 +106,10 @@ def interval_derivatives(interval: ca.Function, *, columns: Indices, size: int) 
 
 
 def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int, int]) -> ca.MX:
-    """Return the sparse matrix with values (K,) at (rows, columns) (K,); values at the same place are added."""
+    """Return the sparse matrix of this shape with values (K,) at (rows, columns) (K,), of which equal ones are added.
+
+    The matrices of single intervals overlap where neighbours share variables.
+    """
     places = columns * shape[0] + rows
     order = np.argsort(places, kind="stable")
     is_first = np.concatenate([[True], np.diff(places[order]) != 0])
@@ -151,8 +158,11 @@ def interval_function(
 ) -> ca.Function:
     """Return the function that gives the constraints and the cost of one interval, in scaled states.
 
-    It maps (start, values, inputs, length, guess) to (defects, end, cost, jerk). values (nx, K): at the support but for
-    its first place; guess (nz, K): at the points.
+    It maps (start, values, inputs, length, guess) to (defects, end, cost, jerk). In an interval, the state is a
+    polynomial through its values at K + 1 places, the support, of which the first is the start and `values` (nx, K) are
+    the others. At K collocation points, its derivative must equal the equations' rate; `defects` are the differences in
+    scaled states, times the length. `inputs` (1, K) and `guess` (nz, K) are given at the points, `end` (nx,) is the
+    state at the interval's end, and `jerk` (K, 1) the derivative of the input.
 
     Args:
         equations: equations with nx states, nz of them of the pendulum.
@@ -197,7 +207,9 @@ def _by_interval(
 ) -> dict[str, Any]:
     """Return the program of a mesh whose constraints couple neighbouring intervals only; see `interval_derivatives`.
 
-    Meshes with equal numbers of intervals have the same program, so that repeated transfers share one.
+    Meshes with equal numbers of intervals have the same program, so that repeated transfers share one. The variables v
+    of an interval are its start, its inner values and its inputs, followed by the start of the next interval. If the
+    method's last value is at the interval's end (`closes`), it is this next start.
 
     Args:
         equations: equations with a cart.
@@ -251,10 +263,13 @@ class _Program:
         self.nx, self.nz = problem.equations.dimension, problem.pendulum_dimension
         self.count, self.intervals = len(self.method.points), len(self.mesh) - 1
         self.scale = state_scale(self.nx, problem.limits)
+        # Fatrop needs separate stages. In others, an interval's last support value can be shared with the next one, so
+        # that `free` values remain for each interval.
         self.staged = settings.solver == "fatrop"
         self.shared = self.method.closes and not self.staged
         self.free = self.count - 1 if self.shared else self.count
         self.stretches = problem.ends.stretch > 0
+        # The input is continuous if intervals share their points or the jerk is limited.
         self.coupled = self.method.shares_inputs or limits.jerk > 0
         has_couplings = self.stretches or self.coupled or problem.ends.closing is not None
         if self.staged and has_couplings:
@@ -288,8 +303,9 @@ class _Program:
     def _assemble(self) -> None:
         """Build the program with casadi's own derivatives, for couplings of more than neighbouring intervals.
 
-        Such couplings are a closed or free motion, a given energy, continuous inputs, or a solver that needs separate
-        stages.
+        Such couplings are a closed motion, a free duration, a given energy, continuous inputs, or a solver that needs
+        separate stages. A stage holds the scaled variables of one interval, `last` the state at the end, and `factor`
+        is that of the duration.
         """
         nx, count, n, free = self.nx, self.count, self.intervals, self.free
         stages = ca.MX.sym("stages", nx * (1 + free) + count, n)
@@ -455,7 +471,8 @@ def solve(
         first: trajectory to start from.
         settings: solver and weights.
         limits: limits of the cart at all nodes.
-        search: kind of the search that starts from `first`.
+        search: "fresh", "warm" if `first` is a solution on another mesh, "far" if it is far from the solution, or
+            "rough" for a solution that is only compared with others.
 
     Returns:
         The solution, or the solver's last iterate with the reason for its end.

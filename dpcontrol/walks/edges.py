@@ -88,8 +88,10 @@ def rotating_connections(
 ) -> ConnectionSearch:
     """Find connections between a rotating orbit and a saddle's orbit, on successive laps of the rotating orbit's tube.
 
-    The tube of the rotating orbit is followed until it is large. If it does not meet the other tube there, up to
-    three later crossings are searched.
+    A lap is one turn of the rotating orbit, on which its tube crosses the section again. The search begins at the last
+    crossing before the tube is large, at a scaled distance of about 0.4 from its orbit, whose number is `first` in the
+    result. If the two tubes do not meet there, up to three later crossings are searched. If they do not meet at any of
+    these, the result has no connections.
 
     Args:
         source: orbit that the connections leave.
@@ -301,6 +303,10 @@ def orbits_at(
         energy: energy, J.
         required: raise an error if an orbit does not exist.
 
+    Returns:
+        Orbits that converged, and one reason for each of the others. If an orbit does not exist, later families of the
+            same saddle are not tried.
+
     Raises:
         InputError: a required orbit does not exist.
     """
@@ -386,6 +392,7 @@ def search_pairs(
         portion = part_of(progress, k / len(pairs), (k + 1) / len(pairs))
         for hit in hits:
             portion(f"tubes {source} → {target}", 0.0)
+            # The first cut may last until 40 % of the time has passed, and the second until 80 %.
             budget = Budget(tubes.settings.seconds)
             unstable_cut, stable_cut = (
                 tubes.cut(orbits[saddle], section, number, budget=budget.until(0.4 * (side + 1)),
@@ -446,7 +453,11 @@ def find_edges(
 def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) -> Edges:
     """Return the graph with the rotating orbits that `symbols` name, and with their connections.
 
-    `symbols` are elementary symbols; pairs without a rotating orbit are ignored.
+    `symbols` are elementary ones, no composite edges. Those between two saddles are ignored. `progress` is called with
+    a label and the completed share.
+
+    Raises:
+        InputError: a named rotating orbit was not found, both stops of a symbol rotate, or no section is suitable.
     """
     orbits, searched, connections, incomplete = dict(edges.orbits), list(edges.searched), list(edges.connections), []
     requested = [((s.source, s.target), s.section) for s in symbols if {s.source, s.target} & ROTATING.keys()]
@@ -474,8 +485,13 @@ def _with_named(
 ) -> Edges:
     """Return the graph with the connections that `symbols` name by their hits and section and that it does not contain.
 
-    `numbers` are the (unstable, stable) crossing numbers that the graph's own search covered. The new connections are
-    kept outside the graph, in `named`, so that they do not change the number of its walks.
+    `symbols` are elementary ones, no composite edges. Their hits are the numbers of the section crossings at which the
+    unstable and the stable tube meet. `numbers` are the hits that the graph's own search covered. The new connections
+    are kept outside the graph, in `named`, so that they do not change the number of its walks. Names of connections
+    with a missing or rotating orbit are ignored here and reported when the symbol is resolved.
+
+    Raises:
+        InputError: a symbol names an unknown section.
     """
     named: list[Connection] = []
     incomplete: list[ConnectionSearch] = []

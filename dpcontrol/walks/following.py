@@ -134,8 +134,10 @@ class SymbolBranches:
     def followed(self, connection: Connection, energy: float) -> Connection | None:
         """Return the connection among those at another energy to which continuation of a connection leads.
 
-        The result is None if continuation fails, or if the search at either energy finds neither the connection nor its
-        image under the system's symmetry of half a period.
+        The image of a connection is that under the half turn, a symmetry of the system that advances each Lyapunov
+        orbit by half a period. The result is None if continuation fails, if the search at the first energy finds
+        neither the connection nor its image, or if no connection found at the other energy agrees with the
+        continuation.
 
         Args:
             connection: connection at its energy.
@@ -148,6 +150,7 @@ class SymbolBranches:
             point = self._point(original_or_image, start)
             if point is None:
                 continue
+            # `carry` is None if the connection may turn back or cannot be followed to this energy.
             continued = point if energy == start else carry(self._sweep.problem, point, energy)
             if continued is None:
                 return None
@@ -162,9 +165,11 @@ class SymbolBranches:
         return None
 
     def _point(self, connection: Connection, energy: float) -> PathPoint | None:
-        """Return the solution of the sweep at `energy` (J) that is the given connection, or None.
+        """Return the solution of the sweep at `energy` (J) that is the given connection, or None if none is.
 
-        Two solutions are the same if their first section crossings agree.
+        The solution describes the connection by phases and duration of its flight between the two tubes' seeds (its
+        link), without a section, and can be continued. It is the connection if their first section crossings agree to
+        a scaled distance of 1e-4.
         """
         for point in self._sweep.search(energy).points:
             state = first_crossing(self._sweep.problem, point.link, energy)
@@ -174,6 +179,9 @@ class SymbolBranches:
 
     def changes(self, low: float, high: float, *, progress: Progress = no_progress) -> tuple[SymbolChange, ...]:
         """Return the changes of the connection that the symbol selects, between two energies.
+
+        The range has six steps, and bisection locates at most one change in each of them. Steps with an end at which
+        the symbol selects no connection are skipped with a remark.
 
         Args:
             low: first energy, J.

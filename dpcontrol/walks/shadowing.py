@@ -72,8 +72,9 @@ def phase_gap(before: Connection, after: Connection) -> float:
 def passage(before: Connection, after: Connection, wraps: int) -> float:
     """Return the time (s) from one connection's section crossing to the next one's, if the stop between has its wraps.
 
-    It uses the asymptotic phases on the local manifolds. The attributes phase_in and phase_out refer to the nearest
-    point at a distance of 1e-3, and differ from them by about as much.
+    It uses the asymptotic phases, those of the point of the periodic orbit that a connection approaches for ever. The
+    attributes phase_in and phase_out of connections are less exact: they refer to the point of the orbit that is
+    nearest at a distance of 1e-3, and differ from the asymptotic phases by about as much.
 
     Args:
         before: connection to the stop.
@@ -87,8 +88,8 @@ def passage(before: Connection, after: Connection, wraps: int) -> float:
 def stop_rounds(before: Connection, after: Connection, wraps: int) -> int:
     """Return the whole periods to add to the difference of two connections' phases, so that a stop has its wraps.
 
-    The asymptotic phases on the stop's orbit are known only up to whole periods. At a rotating orbit, each period
-    shifts the next connection by one turn.
+    The asymptotic phases are those of the point of the stop's orbit that a connection approaches for ever. They are
+    known only up to whole periods. At a rotating orbit, each period shifts the next connection by one turn.
 
     Args:
         before: connection to an orbit.
@@ -154,7 +155,11 @@ def first_guess(
 ) -> Guess:
     """Return the initial guess of a walk's orbit: samples of its connections, joined in the middle of each stop.
 
-    Newton's method keeps one node of each symbol on its section, whose level shifts with the symbol's whole turns.
+    The guess consists of nodes and of the durations of the segments between them. Its `markers` are the nodes that
+    Newton's method keeps on a section, one for each symbol: the index of the node, the section's normal n (N,) and the
+    level of n·x, which shifts with the symbol's whole turns. Its `owners` are the indices of the nodes' symbols, its
+    `joints` the segments between two connections. An open walk has two `ends` on the local manifolds of its first and
+    last orbits; a closed walk has a `turn` (N,), the difference of its last and first node.
 
     Args:
         chain: connections of the walk.
@@ -256,8 +261,8 @@ def _count(connection: Connection, sign: int, stay: float | None, settings: Shad
 def _joint(before: Connection, after: Connection, stay: float, settings: ShadowingSettings) -> float:
     """Return the duration (s) of the segment in mid-stop that joins the samples of two connections.
 
-    It is the rest of the time between their section crossings, which whole steps do not fill: one to three steps.
-    `stay` is the duration of the stop, s.
+    It is the rest of the time between their section crossings, which whole steps on both sides do not fill: less than
+    two steps. `stay` is the duration of the stop, s.
     """
     step = before.target.period / settings.segments
     counts = _count(before, +1, stay, settings) + _count(after, -1, stay, settings)
@@ -360,6 +365,8 @@ class ShadowingOrbit(Timed, Documented, Concluded):
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:
     """Return the number of wraps that an orbit makes at each stop, from the time between section crossings.
 
+    A stop is a stay near the periodic orbit between two connections, and wraps are the whole periods of this stay.
+
     Args:
         connections: the walk. Stop k lies between connections k and k + 1.
         stays: times (S,) between the section crossings on either side of each of the S stops, s.
@@ -369,6 +376,7 @@ def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int
     """
     counts = []
     pairs = zip(connections, [*connections[1:], connections[0]], strict=True)
+    # An open walk has no stop for the last pair, which leads from the last connection to the first.
     for seconds, (before, after) in zip(stays, pairs, strict=False):
         spare = seconds - before.time_in - after.time_out
         counts.append(round(float(spare) / before.target.period - phase_gap(before, after)))
@@ -387,6 +395,9 @@ def shadow(
     rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
     """Return the orbit that follows the connections of a walk in order, with given wraps at the stops between them.
+
+    At a stop, the orbit stays near the periodic orbit between two connections; its wraps are periods of this orbit. If
+    Newton's method does not converge to this walk, the result has the cause and is not `converged`.
 
     Args:
         connections: connections of the walk.
@@ -460,8 +471,11 @@ def described(
 ) -> ShadowingOrbit:
     """Return a solved shot as a shadowing orbit with its error estimate and with the wraps and walk that it realises.
 
+    If the shot did not converge, or follows another walk, the result's cause and its index of the failed symbol
+    (`fault`) are set. Only a converged shot has an error estimate.
+
     Args:
-        shot: solution with its guess.
+        shot: last orbit of the multiple shooting, and the guess from which it started.
         chain: connections of the walk.
         wraps: periods at each stop.
         leads: periods on the first and the last orbit.
@@ -475,6 +489,7 @@ def described(
     lead_in, lead_out = leads
     stays = np.diff(crossings)
     if periodic:
+        # The last stop of a closed walk leads back to its first symbol.
         stays = np.append(stays, orbit.duration - stays.sum())
         times, duration = orbit.times - orbit.times[0], orbit.duration
     else:
@@ -507,11 +522,13 @@ def _on_its_walk(orbit: ShadowingOrbit, nodes: NDArray[np.intp], rivals: Sequenc
     """Return the orbit unchanged if it follows its walk, otherwise with the failed symbol and the cause.
 
     Newton's method may converge to another walk. This is so if the orbit crosses a section nearer to another connection
-    of the same kind, one of `rivals`, or if its counted wraps differ from the requested ones. `nodes` holds the indices
-    of the orbit's nodes on the symbols' sections.
+    of the same kind, one of `rivals`, or if its counted wraps differ from the requested ones. Connections are of the
+    same kind if their source, target, winding (whole turns of each arm) and section agree. `nodes` holds the indices of
+    the orbit's nodes on the symbols' sections.
     """
     system = orbit.system
     for k, (connection, node) in enumerate(zip(orbit.connections, nodes, strict=True)):
+        # A connection starts without whole turns, a symbol of the walk with those of the symbols before it.
         state = orbit.orbit.states[node] - orbit.offsets[k] * system.turn_lengths
         distance = _apart(system, state, connection.state)
         for rival in rivals:
@@ -649,7 +666,7 @@ class WalkSolver:
     def least(self, chain: Sequence[Connection], *, periodic: bool = False) -> tuple[int, ...]:
         """Return the fewest wraps at each stop with which a walk has an orbit.
 
-        No single count can be reduced further.
+        Each count that was raised has been reduced as far as possible, one after the other.
 
         Args:
             chain: connections of the walk.
@@ -666,12 +683,16 @@ class WalkSolver:
     def fewest(self, chain: Sequence[Connection], *, periodic: bool = False) -> FewestWraps:
         """Search for the fewest wraps at each stop that give an orbit.
 
+        Wraps are the periods for which the orbit stays near the periodic orbit between two connections. The search
+        starts with none. After a failure, one wrap is added at the stops beside the failed symbol.
+
         Args:
             chain: connections of the walk.
             periodic: True for a closed walk.
 
         Returns:
-            The wraps, or the last attempt's orbit if up to MOST wraps at a stop do not suffice.
+            The wraps, or those and the orbit of the last attempt if up to MOST wraps at a stop do not suffice, or if
+            the walk has no stop at which more wraps could help.
         """
         count = len(chain) if periodic else len(chain) - 1
         wraps, orbit = [0] * count, self.solve(chain, [0] * count, periodic=periodic)

@@ -36,9 +36,12 @@ def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
     return f"({walk[0]})" + "".join(f"·{count}·({name})" for name, count in zip(walk[1:], wraps, strict=True))
 
 
+# A connection's name: source>target[winding]h, its two hits (crossing numbers of the section), :section unless it is
+# the default, and after @ its place on the section, or the symbols of a composite edge.
 _FULL = re.compile(
     r"(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h(?P<out>\d+)\.(?P<back>\d+)(?::(?P<section>[\w-]+))?@(?P<place>.+)"
 )
+# "down-up +", "down-up > up-down" or "down-up > up-down -".
 _SHORT = re.compile(r"(?P<source>[\w-]*\w)(?:\s*>\s*(?P<target>[\w-]*\w))?(?:\s+(?P<sense>[+-]))?")
 
 
@@ -95,6 +98,8 @@ MOST_NESTED = 20
 def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     """Return a symbol of a walk from its text: its saddles, sense, hits and section, or its parts if it is composite.
 
+    The hits of a connection are the numbers of the section crossings at which the unstable and the stable tube meet.
+
     Args:
         text: the symbol.
         saddles: allowed orbit names; "outer-rotating" also allows "outer-rotating-2" and so on.
@@ -116,6 +121,7 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
         )
     source = groups["source"]
     target = groups["target"] or source
+    # If the fastest orbit of an arm and direction is allowed, so are its slower ones, "-2" and so on.
     rotating = [str(name) for name in _ROTATING if str(replace(name, rank=1)) in saddles]
     for name in (source, target):
         if name not in (*saddles, *rotating):
@@ -137,6 +143,8 @@ def _pieces(text: str) -> list[str] | None:
         InputError: the brackets are nested too deeply.
     """
     pieces, depth = [""], 0
+    # A closing bracket lowers the depth before the comparison, and an opening one raises it afterwards. Both brackets
+    # of an outermost pair are thus met at depth zero and begin a new piece.
     for character in text:
         depth -= character == ")"
         if character in "()" and depth == 0:
@@ -195,6 +203,9 @@ def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ..
 
 def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """Return the walk with each composite edge replaced by the elementary symbols and wraps that it consists of.
+
+    A composite edge is a walk in brackets that serves as one symbol, such as "(A)·2·(B)" with two wraps, the periods
+    near the orbit between A and B.
 
     Args:
         symbols: the walk.

@@ -48,7 +48,9 @@ _MIRRORED = 1e-7  # scaled distance; above the error of states (1e-11), below th
 def as_connection(orbit: ShadowingOrbit) -> Connection:
     """Return a converged open shadowing orbit as a connection, which longer walks can use as one symbol.
 
-    Such a connection is a composite edge of the connection graph.
+    Such a connection is a composite edge of the connection graph. Its name consists of its source and target, its
+    winding (whole turns of each arm), its hits (crossing numbers of the section) and its symbols with their wraps. It
+    is symmetric if a reverser, a matrix of time reversal, maps its part between the first and last symbols to itself.
 
     Args:
         orbit: converged orbit of an open walk.
@@ -60,7 +62,8 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
     motion = replace(orbit.orbit, times=orbit.orbit.times - orbit.symbol_times[0])
     state = motion.states[nodes[0]]
     winding = tuple(int(k) for k in orbit.offsets[-1][: len(first_symbol.winding)])
-    # The mirror image starts at the last symbol of the original. It may still differ between the ends.
+    # Reversed in time, the mirror image starts at the last symbol. Equal ends are not enough, so samples of the whole
+    # part between the first and last symbols are compared.
     stay = float(orbit.symbol_times[-1] - orbit.symbol_times[0])
     middle_part = motion.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
     symmetric = source.saddle == target.saddle and any(
@@ -75,7 +78,7 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
     curve = OrbitCurve(target)
     last_far_time = _last_far(motion, curve)
     time_in, phase_in = approach(replace(motion, times=motion.times - last_far_time), curve, +1, approach_distance)
-    # Outside this span, an orbit that crosses the section itself would add its laps to the count.
+    # A rotating orbit (`laps` is True) crosses the section itself, and its laps outside this span must not count.
     departure = -time_out if source.laps else float(motion.times[0])
     arrival = last_far_time + time_in if target.laps else float(motion.times[-1])
     hits = section_hits(motion, section, (departure, arrival))
@@ -104,9 +107,9 @@ def as_connection(orbit: ShadowingOrbit) -> Connection:
 def _last_far(orbit: ShootingOrbit, curve: OrbitCurve) -> float:
     """Return the last time (s) at which a composite edge is still far from the periodic orbit that it joins.
 
-    `orbit` has time zero at its first symbol's section crossing, and `curve` is the last periodic orbit. The edge's
-    arrival is sought after this time only, since it may pass near that orbit at earlier stops too. If the edge is never
-    far, the result is zero.
+    `orbit` has time zero at its first symbol's section crossing, and `curve` is the last periodic orbit. Far means at a
+    scaled distance of more than 0.05. The edge's arrival is sought after this time only, since it may pass near that
+    orbit at earlier stops too. Times before zero are not examined. If the edge is never far, the result is zero.
     """
     end_time = float(orbit.times[-1])
     grid = np.linspace(0.0, end_time, max(2, int(np.ceil(end_time / curve.orbit.period * 50))))
@@ -133,7 +136,9 @@ def section_hits(
     grid = np.append(segment_times.ravel(), orbit.times[-1])
     grid = grid[(grid >= span[0]) & (grid <= span[1])]
     states = orbit.sample(grid)
-    # The crossing at time zero lies on a node, so rounding decides its side of the section.
+    # A sheet is one of the parallel planes of an angle's section; its number changes at a crossing. `admits` tests the
+    # section's condition on the side. The crossing at time zero lies on a node, so rounding decides its side of the
+    # section. It is left out of both sums and counted by the 1.
     crossings = [k for k in np.flatnonzero(np.diff(section.sheets(states))) if section.admits(states[k])]
     spacing = float(np.diff(grid).max())
     crossings_before = sum(1 for k in crossings if grid[k + 1] < -spacing / 2)
@@ -144,8 +149,9 @@ def section_hits(
 def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
     """Return the angle (deg) between the unstable and the stable manifold at a node, in section coordinates (q, p/p₀).
 
-    State-transition matrices propagate the unstable tangent forward from the first node and the stable tangent backward
-    from the last node. Both propagations are contracting in direction, so errors of the first tangents vanish.
+    Here q is the coordinate along the section and p its conjugate momentum in units of p₀. State-transition matrices
+    (`stms`) propagate the unstable tangent forward from the first node and the stable tangent backward from the last
+    node. Both propagations are contracting in direction, so errors of the first tangents vanish.
 
     Args:
         orbit: open shadowing orbit.
@@ -154,6 +160,7 @@ def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
     shot = orbit.shot
     section, system = orbit.connections[0].section, shot.guess.system
     scale = system.scale
+    # `point` returns the end's state and its derivative by the amplitude, which is the tangent.
     unstable = shot.orbit.start.point()[1] / scale
     for stm in shot.stms[:node]:
         unstable = (stm @ (unstable * scale)) / scale
@@ -169,7 +176,8 @@ def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
 def _on_section(system: System, section: Section, state: Array, tangent: Array) -> Array:
     """Project a tangent vector (N,) at a state (N,) onto the section along the flow.
 
-    The result (2,) holds the section's coordinates (q, p/p₀), in which the cuts of tubes are curves whose angle counts.
+    The result (2,) is in the section's coordinates: q along it, and the conjugate momentum p in units of p₀. The cuts
+    of tubes are curves there, and the angle between two tangents is that of their manifolds.
     """
     rate, normal = system.numeric.rate(state), np.asarray(section.normal)
     across = tangent - rate * (normal @ tangent) / (normal @ rate)
@@ -226,9 +234,10 @@ def resolve(texts: Sequence[str], edges: Edges, loss: Loss | None = None) -> Wal
     """Return the connections that the symbols of a walk select at one energy, one for each symbol.
 
     Args:
-        texts: symbols of the walk.
+        texts: symbols of the walk, such as "down-up +", a connection's name or a composite edge.
         edges: connections at one energy.
-        loss: what a connection costs its feedback, see `choose`.
+        loss: function from a connection to its cost for the feedback, such as its peak gain. Connections of more than
+            twice the smallest cost are not selected, see `choose`.
 
     Raises:
         InputError: a text is not a symbol, the walk is not connected, or a connection does not exist at this energy.
@@ -267,10 +276,11 @@ def vertex_names(system: System) -> list[str]:
 def _connection(symbol: Symbol, edges: Edges, loss: Loss | None) -> Connection:
     """Return the connection that a symbol selects at the graph's energy.
 
-    The orbit of a composite edge is solved first. `loss` is what a connection costs its feedback, see `choose`.
+    If the symbol is a composite edge, a walk in brackets, the orbit of this walk is solved and becomes the connection.
+    `loss` is a function from a connection to its cost for the feedback, such as its peak gain; see `choose`.
 
     Raises:
-        InputError: no connection matches.
+        InputError: no connection matches, or the composite edge has another name than the symbol.
         GoalMissed: a composite edge has no orbit with its wraps.
     """
     if symbol.parts:
@@ -844,7 +854,8 @@ def _solve_request(request: WalkRequest, solver: WalkSolver) -> WalkAnswer:
     """Return the orbit of a walk with the requested wraps, or with the fewest that suffice and the requested extra
     ones.
 
-    Without an orbit, the answer holds wraps that suffice, if there are any.
+    If up to MOST wraps at a stop do not suffice, the answer has no orbit. If the orbit does not converge, the answer
+    holds this orbit and, as advice, the fewest wraps that suffice, if any do.
     """
     fewest_wraps, wraps = None, request.wraps
     if wraps is None:
