@@ -355,10 +355,11 @@ class RunLog(Shown):
         Raises:
             InputError: no controller ran.
         """
+        # No log has states of this name, so the call raises the error.
         return self.controls or self._state("control")
 
     def _state(self, part: str) -> Any:
-        """Return the states of a part of the log.
+        """Return the states (N, 2n+2) of a part of the log, "estimate", "reference" or "truth".
 
         Raises:
             InputError: the log does not have this part.

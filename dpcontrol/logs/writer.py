@@ -77,7 +77,7 @@ def link_poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has
         has_cart: True if the pivot is on a cart.
 
     Returns:
-        (K, F, 7): x, y, z in m and the quaternion's x, y, z, w.
+        (K, F, 7) for F frames: x, y, z in m and the quaternion's x, y, z, w.
     """
     arms = len(arm_lengths)
     first_arm = 1 + has_cart
@@ -133,6 +133,7 @@ def robot_description(
             for (shape, rotation), (x, y, z), part in shapes
         ]
         lines += [f'  <link name="{link}">', *drawn_shapes, "  </link>"]
+    # The outermost arm has no elbow, so the last joint is left over.
     for (parent, child), (kind, body) in zip(frames[1:], joints, strict=False):
         parent_and_child = f'<parent link="{parent}"/><child link="{child}"/>'
         lines.append(f'  <joint name="{child.removesuffix("_link")}" type="{kind}">{parent_and_child}{body}</joint>')
@@ -155,9 +156,10 @@ def _disc(radius: float) -> tuple[str, str]:
 
 
 def _visuals(arm_lengths: Sequence[float], *, reach: float, drawn: bool, has_cart: bool) -> list[list[_Visual]]:
-    """Return the shapes of each link, in the order of `link_frames`; those of the track only if it is drawn.
+    """Return the shapes of each link, in the order of `link_frames`.
 
-    `reach` is the largest distance of the cart from the centre, m.
+    The links are the base, which has the shapes of the track if `drawn` is True, the cart if there is one, and each arm
+    with its elbow, which has no shape. `reach` is the largest distance of the cart from the centre, m.
     """
     width, stop_place, hub = 0.06, reach + 0.05, _disc(1.3 * _THICKNESS)
     track: list[_Visual] = [(_box(2 * reach + 0.1, width, 0.01), (0, 0.06, -0.02), "track")]
