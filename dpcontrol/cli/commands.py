@@ -96,7 +96,11 @@ def command(name: str, verb: Verb) -> click.Command:
     params.append(Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="One JSON document on stdout."))
 
     def run(*, as_json: bool, **values: Any) -> None:
-        """Call the function with the values of the command line, print its result, and draw it if requested."""
+        """Call the verb's `function` with the values of the command line, print its result, and draw it if requested.
+
+        `values` are those of all arguments and options by parameter, None for those not given. Options of settings are
+        gathered in one mapping, and files to write are checked, before the function is called.
+        """
         call = click.get_current_context().ensure_object(Call)
         call.as_json = as_json
         if "settings" in parameters:
@@ -165,6 +169,7 @@ def _parameters(
             [name], nargs=-1 if takes_several else 1, required=required, type=kind, shell_complete=completer
         )
         return
+    # From here on the parameter is an option; flags that are on by default get an option that turns them off.
     names = declared.names.get(name, f"--{name.replace('_', '-')}")
     names = (names,) if isinstance(names, str) else names
     flag = kind is bool
@@ -216,6 +221,9 @@ def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
         name: name of the parameter, which may have a parser of its own; "" for an entry of a list.
         kinds: types of the parameter, of which the first that click can read counts.
         output: declaration of the file that it names, or None.
+
+    Returns:
+        A type of click, a tuple of types for several values, or one of bool, int, float and str.
     """
     if name in PARSERS and int not in kinds:
         return PARSERS[name]
@@ -377,7 +385,10 @@ def _over(given: Sequence[tuple[str, str]]) -> dict[str, list[Any]] | None:
 
 
 def _serve(server: Any) -> None:
-    """Serve until the server ends or the user presses Ctrl-C, which is the normal end of such a verb."""
+    """Serve until the server ends or the user presses Ctrl-C, which is the normal end of such a verb.
+
+    `server` is the result of the verb: a context manager with the method `serve`, such as an example bench.
+    """
     # A reader behind a pipe waits for the address.
     sys.stdout.flush()
     with server:

@@ -44,7 +44,11 @@ class _Verbs(click.Group):
             show_warning, printed = warnings.showwarning, set[str]()
 
             def show(message: Warning | str, category: type[Warning], file: str, *place: Any) -> None:
-                """Print a remark that is new; pass on other warnings if the user can do something about them."""
+                """Print a remark that is new; pass on other warnings if the user can do something about them.
+
+                It takes the place of `warnings.showwarning`. `file` is the file that caused the warning, and `printed`
+                has the remarks so far.
+                """
                 if not issubclass(category, Remark):
                     # Warnings from a user's own law or plant are for the user.
                     if ctx.obj.debug or not file.startswith(_INSTALLED):
@@ -63,7 +67,10 @@ class _Verbs(click.Group):
                 raise click.Abort from error
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments before the verb; note a request for help, and answer --version with --json."""
+        """Parse the arguments before the verb, and answer --version with --json.
+
+        Whether help is requested is stored in the context, since help must not need a valid configuration.
+        """
         if set(args) == {"--version", "--json"}:
             print_json({name: number or None for name, number in versions().items()})
             ctx.exit()

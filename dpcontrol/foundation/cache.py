@@ -170,7 +170,7 @@ class CacheContents(Documented):
 
 
 def cache_contents(*, clear: bool = False) -> CacheContents:
-    """Return the contents of the cache, and empty it on request.
+    """Return the contents of the cache, as they are before it is emptied on request.
 
     Args:
         clear: delete the cache's own files; other files in the folder are kept.

@@ -58,12 +58,13 @@ def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
 
     Args:
         result: a dataclass, mapping or other object.
-        keys: entries as in `KEYS`, separated by spaces (default: all fields).
+        keys: entries as at the head of this module, separated by spaces (default: all fields).
     """
     document: dict[str, Any] = {}
     for entry in keys.split():
         name, _, columns = entry.partition(":")
         key, _, path = name.replace("?", "").partition("=")
+        # All fields need no value, and the object's own document ("**") is made of the object itself.
         value = result if key == "**" else None if key == "*" else _part(result, path or key.lstrip("*"))
         if value is None and "?" in name:
             continue
@@ -82,7 +83,8 @@ def _part(value: Any, path: str) -> Any:
     """Return the value at the end of a path below an object, as an entry of `KEYS` names it.
 
     A name of the path is an attribute, the key of a mapping, or the place in a sequence. Another name at a sequence
-    gives the list of this attribute of its items. Methods are called without arguments.
+    gives the list of this attribute of its items. Methods are called without arguments. If a value on the way is None,
+    the result is None.
 
     Args:
         value: object at which the path begins.

@@ -69,6 +69,9 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, number: int
         table: name of the table, or "" for the top level.
         values: texts, numbers or lists of these, by key.
         number: number of a table in a list, from 1, or 0 for a table outside a list.
+
+    Returns:
+        The new text; other parts of the text are unchanged.
     """
     document = tomlkit.parse(text)
     if table and table not in document:
@@ -161,9 +164,9 @@ class Table:
         """Return the object that the table makes of the values of a file.
 
         Args:
-            values: values by key, where lists become tuples.
+            values: values by key as TOML gives them; in the values that `make` receives, lists are tuples.
             place: place of the table.
-            context: argument of the tables' functions.
+            context: any object that the functions `make` of this table and of those within need; None if none does.
 
         Raises:
             InputError: every unknown or missing key, and every value of another type or out of bounds.

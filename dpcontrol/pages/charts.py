@@ -106,6 +106,7 @@ def _levels(axes: Axes, chart: Chart, *, scale: float) -> dict[str, dict[str, An
     near_limits = [value for value in limits if low - reach < value < high + reach]
     for value in near_limits:
         axes.axhline(value, color=style.LIMIT, linewidth=1.1, linestyle=style.DASHED)
+        # The forbidden side is shaded far beyond the panel.
         axes.axhspan(value, 1e3 * value, color=style.LIMIT, alpha=0.08, linewidth=0)
     band = [scale * level.value for level in chart.levels if level.kind == "band"]
     if band:

@@ -367,6 +367,9 @@ _REASONS = 5
 def _border(axes: Axes, border: HazardBorder) -> None:
     """Draw how the share of completed runs falls when one property of the bench gets worse, and where it is halved.
 
+    Shares are relative to the runs that complete on the bench as described, on the same seeds. The border is the value
+    at which half of these still complete.
+
     Args:
         axes: panel to draw on.
         border: tried values of the property, the shares of completed runs, and the border with its interval.
@@ -382,6 +385,7 @@ def _border(axes: Axes, border: HazardBorder) -> None:
         axes.axvline(set_value, color=style.GOOD, linewidth=1.2, linestyle=style.DASHED)
         values.append(set_value)
     if border.border is not None:
+        # An end of the interval that is not known is replaced by the border itself.
         axes.axvspan(border.low or border.border, border.high or border.border, color=style.LIMIT, alpha=0.15)
         axes.axvline(border.border, color=style.LIMIT, linewidth=1.2)
     axes.axhline(0.5, color=style.MARK, linewidth=0.7, linestyle=style.DASHED)

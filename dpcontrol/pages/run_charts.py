@@ -335,7 +335,9 @@ def _energy(view: RunView) -> Chart | None:
 def _nis(view: RunView) -> Chart | None:
     """Return the chart of the NIS, as means over windows, with the 95 % range of a consistent estimator.
 
-    The NIS is the square of the innovation in units of its expected covariance, for each measurement.
+    The NIS is the square of the innovation in units of its expected covariance, for each measurement. Its expected
+    value is the number of measured positions, `view.sensors`. If the means exceed it tenfold, the axis is logarithmic.
+    The result is None if the run has no NIS.
     """
     if view.nis is None:
         return None

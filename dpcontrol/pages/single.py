@@ -32,6 +32,7 @@ def tube(axes: Axes, shown: Tube) -> None:
     """
     strands = shown.strands()
     for k, strand in enumerate(strands):
+        # The strands of the first branch come first, as many as of the second.
         branch = shown.branches[k * len(shown.branches) // len(strands)]
         axes.plot(*strand[:, :2].T, color=BRANCHES[shown.stable, branch], linewidth=0.5, alpha=0.8)
     _ring(axes, shown.orbit)
@@ -114,6 +115,7 @@ def flights(axes: Axes, connections: Sequence[Connection]) -> None:
     """
     for connection, colour in zip(connections, cycle(style.SERIES), strict=False):
         _ring(axes, connection.source)
+        # The target orbit is drawn where the connection ends, which may be whole turns away.
         _ring(axes, connection.target, connection.orbit.end.turns * connection.source.system.turn_lengths)
         axes.plot(*connection.sample(600)[:, :2].T, color=colour, linewidth=1.0)
 

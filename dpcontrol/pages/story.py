@@ -191,6 +191,7 @@ def _story(axes: Axes, view: RunView, rows: list[Strip], span: Range, width: flo
     begin, end = span
     # The names of the strips take the rest of the width.
     seconds_per_inch = (end - begin) / (width - 1.2)
+    # Times of the symbols' marks by the name of their strip: the first has the planned times, "done" the actual ones.
     symbol_times = {"done": [done for _, _, done in view.symbols if done is not None]}
     symbol_times[rows[0].name] = [planned for _, planned, _ in view.symbols]
     for place, strip in enumerate(reversed(rows)):
@@ -256,6 +257,8 @@ def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[floa
 
 def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: float) -> None:
     """Mark the symbols at their planned and actual times, number the planned ones, and name them if there is room.
+
+    A number or a name that would overlap the one before is left out.
 
     Args:
         axes: panel of the story.

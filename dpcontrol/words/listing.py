@@ -94,6 +94,9 @@ def listing(result: Any) -> Iterator[Line]:
 def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Line]:
     """Yield the entries of a document as lines and tables, the status last; empty entries are left out.
 
+    Rows, which are mappings, become a table, or a section for each row if a cell is too long for a table. Lists of
+    sentences become a line for each sentence, and single values a line with the entry's name.
+
     Args:
         document: JSON values by key.
         units: units of the entries by key.

@@ -93,7 +93,9 @@ def _tubes(r: Any) -> str:
 def _searched(r: Any) -> str:
     """Return the sentence on a search for connections by the tubes of two orbits.
 
-    It states the number of connections, and each reason for which there may be more, with its remedy.
+    It states the number of connections, and each reason for which there may be more, with its remedy. `r` is a
+    `ConnectionSearch`. A cut is the curve in which a tube meets the section. It is open if some trajectories of the
+    tube do not arrive or separate too much; an open end hides connections, or leads to later crossings.
     """
     remedy = "try another energy" if r.settings.thorough else "search thoroughly"
     or_other_energy = "" if r.settings.thorough else ", or at another energy"
@@ -140,7 +142,8 @@ def _searched(r: Any) -> str:
 def _on_laps(r: Any) -> str:
     """Return the sentence on a search in which the tube of one orbit crosses the section on every lap of the orbit.
 
-    Only some of these crossings are searched, so the number of connections is no total.
+    Only some of these crossings are searched, so the number of connections is no total. `r` is a `ConnectionSearch`,
+    whose first searched crossing is `r.first`.
     """
     cut, orbit = next((cut, orbit) for cut, orbit in zip(r.cuts, (r.source, r.target), strict=True) if orbit.laps)
     if not r.connections:
@@ -219,7 +222,10 @@ def caveat_sentence(r: Any) -> str:
 
 
 def _followed(gap: Any, k: int) -> str:
-    """Return the value of the parameter that a search for bifurcations varies, at end `k` (0 or 1) of a gap."""
+    """Return the parameter that a search for bifurcations varies, with its value at end `k` (0 or 1) of a gap.
+
+    `gap` is an interval between two searches in which the count changes without a located cause.
+    """
     return f"{gap.course.quantity} = {gap.values[k]:.9g}{gap.course.unit}"
 
 
@@ -255,7 +261,10 @@ def bifurcations_sentence(r: Any) -> str:
 
 
 def _passed(use: Any) -> str:
-    """Return the clause on a limit of the cart that a motion passes, with the largest value and its time."""
+    """Return the clause on a limit of the cart that a motion passes, with the largest value and its time.
+
+    `use` is a `LimitUse`: the largest value of the cart's position, velocity or acceleration, and its bound.
+    """
     return f"cart {use.name} of {use.largest:.4g} {use.unit} where {use.bound:.4g} is allowed (at t = {use.time:.2f} s)"
 
 
@@ -265,18 +274,18 @@ def _mesh(r: Any) -> str:
 
 
 def _longer(r: Any) -> str:
-    """Return the advice to stay on the last orbit for one more wrap."""
+    """Return the advice to stay on the last orbit for one more wrap than the itinerary of the reference `r` has."""
     return f"raise lead_out to {r.content.lead_out + 1}"
 
 
 def _symbol(r: Any) -> str:
-    """Return the number and the text of the symbol at which a reference falls short."""
+    """Return the number and the text of the symbol at which a reference falls short; `r` is the shortfall."""
     symbols = r.content.symbols
     return f"symbol {r.stop} of {len(symbols)} ({symbols[r.stop - 1].text!r})"
 
 
 def _far(r: Any) -> str:
-    """Return the clause on the smallest distance, rad, between a motion and the orbit of a stop."""
+    """Return the clause on the smallest distance, rad, between a motion and the orbit of a stop; `r` is a shortfall."""
     return f"no nearer than {r.gap:.2f} rad to the orbit about {r.content.stops[r.stop].saddle}"
 
 

@@ -74,6 +74,7 @@ def branches_page(progress: Progress) -> PaperFigure:
 
 
 def _angle_branches(axes: Axes, diagram: BifurcationSearch) -> None:
+    """Draw connections by the angle of their section crossing, rad, and energy; the title has saddles and section."""
     coordinate, section = _COORDINATES[diagram.source if diagram.source == diagram.target else "between"]
     axes.set(title=f"{pair_name(diagram)}: on {section}", ylabel=f"{coordinate} (rad)")
     _branches(axes, diagram, 0)
@@ -98,6 +99,13 @@ def _least(diagram: BifurcationSearch) -> str:
 
 
 def _branches(axes: Axes, diagram: BifurcationSearch, coordinate: int) -> None:
+    """Draw each followed connection as a curve over energy, with marks at its births and splittings.
+
+    The height of a curve is the `coordinate` of the connection's first section crossing: 0 for the angle, rad, 1 for
+    the momentum over p₀, the section's momentum scale. A connection of a saddle with itself is symmetric if its angle
+    stays at a multiple of half a turn, which time reversal maps to itself. Above the energy from which trajectories of
+    the tubes scatter, the panel is shaded.
+    """
     homoclinic = diagram.source == diagram.target
     for values, points in diagram.runs:
         symmetric = homoclinic and bool(np.all(np.abs(np.sin(points[:, 0])) < _ON_MIRROR))
@@ -124,6 +132,7 @@ def _wrapped(points: Array) -> Array:
 
 
 def pair_name(diagram: BifurcationSearch) -> str:
+    """Return the saddles of a diagram's connections as text, such as "down-up to itself" or "down-up to up-down"."""
     return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
 
 
@@ -162,7 +171,11 @@ def transport_page(_: Progress) -> PaperFigure:
 
 
 def _rates(axes: Axes, system: System, saddle: str, counts: list[dict[str, Any]]) -> None:
-    """Draw the rate of a neck from just above its saddle to beyond the last counted energy."""
+    """Draw the rate of passages through a saddle's neck, 1/s, against energy, J, computed and counted.
+
+    The computed rates, 2A/Ω by action and volume, extend from just above the saddle to beyond the last counted energy.
+    Each of `counts` has an energy, J, and for it the mean time between passages with its standard error, s.
+    """
     energies, times, errors = np.array(
         [[c["energy"], c["mean_time"], c["error"]] for c in counts if c["saddle"] == saddle]
     ).T

@@ -179,7 +179,10 @@ _RETURN_FLIGHT = 2.0
 
 
 def returning_search(system: System) -> ConnectionSearch:
-    """Search homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ twice."""
+    """Search homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ twice.
+
+    They are where the unstable tube's first crossing meets the stable tube's second one, counted back from its orbit.
+    """
     orbit = lyapunov_orbit(system, "down-up", energy=SENSES_ENERGY)
     return find_connections(
         orbit,
@@ -210,6 +213,7 @@ def returning_page(_: Progress) -> PaperFigure:
 
 
 def _returning_flights(axes: Axes, search: ConnectionSearch, connections: Sequence[Connection]) -> None:
+    """Draw connections in the plane of the angles, with the section θ₁ = θ₂ and its copy a turn away dotted."""
     for turn in (0, 1):
         axes.axline((0, 2 * np.pi * turn), slope=1, color=style.MARK, linestyle=style.DOTTED, linewidth=0.9, zorder=1)
     single.flights(axes, connections)
@@ -302,7 +306,12 @@ def three_body_homoclinics_page(_: Progress) -> PaperFigure:
 
 
 def _rows(page: Page, rows: Sequence[tuple[Atlas, str, str, Extent]]) -> str:
-    """Add tubes, cuts and flights, a row for each (atlas, source, target, extent), and return their counts in words."""
+    """Add tubes, cuts and flights, a row for each (atlas, source, target, extent), and return their counts in words.
+
+    Source and target are saddles, and the extent has the drawn ranges of x and y. Connections that are mirror images
+    share a colour. Of each colour one flight is shown, in total up to four of a saddle with itself, and one between
+    two saddles.
+    """
     words = []
     for letters, (atlas, source, target, extent) in zip(("abc", "def"), rows, strict=True):
         kind, between = kind_of(atlas, source, target), source != target
@@ -334,7 +343,11 @@ def _rows(page: Page, rows: Sequence[tuple[Atlas, str, str, Extent]]) -> str:
 
 
 def _plane(axes: Axes, atlas: Atlas, system: System, extent: Extent, section: str, **motions: Any) -> None:
-    """Draw tubes or flights between the primaries, with the inaccessible region and the section."""
+    """Draw tubes or flights of three bodies in the plane, with primaries, inaccessible region and section.
+
+    `extent` has the ranges of x and y. `section` is "x = 1 - μ", a vertical line through the smaller primary, or else
+    the negative half of the line y = 0. `motions` are further arguments of `draw_motions`: the tubes or flights.
+    """
     draw_motions(axes, atlas, **motions)
     (wide, high), mu = extent, float(system.parameters[0])
     x, y = np.meshgrid(np.linspace(*wide, 300), np.linspace(*high, 300))
