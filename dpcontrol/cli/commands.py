@@ -327,7 +327,10 @@ PARSERS: Mapping[str, click.ParamType] = {
 
 
 def _setting_options() -> Iterator[Option]:
-    """Yield an option for each common setting, and --set for all settings."""
+    """Yield an option for each common setting of runs, and --set for all settings.
+
+    `overrides.NAMED` has the help of the common settings by path; the option has the name of the path's last part.
+    """
     for path, text in overrides.NAMED.items():
         name = path.rpartition(".")[2]
         yield Option(

@@ -147,7 +147,8 @@ def _defaults() -> dict[str, dict[str, Any]]:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit.
 
-    User errors are one line on stderr without a traceback.
+    User errors are one line on stderr without a traceback. The help of the program, that of `cli`, explains the exit
+    codes.
 
     Args:
         arguments: arguments after the program's name; None for those of the process.

@@ -63,7 +63,11 @@ class VerifiedFile:
 
     @contextmanager
     def decoding(self) -> Iterator[None]:
-        """Report errors of decoding within the block as damage of this file."""
+        """Report errors of decoding within the block as damage of this file.
+
+        Raises:
+            InputError: the block raised one of `MALFORMED`.
+        """
         try:
             yield
         except MALFORMED as error:
@@ -186,7 +190,7 @@ def open_mcap(path: Path) -> VerifiedFile:
         for record in _Records(stream, emit_chunks=True, validate_crcs=True).records:
             file.records[type(record)].append(record)
         footer = file.records[Footer][0]
-        # Without a summary, its checksum is that of the footer, which ends 12 bytes before the file.
+        # Without a summary, its checksum is that of the footer. The last 12 bytes are the checksum and the file's end.
         summary = data[footer.summary_start or len(data) - _FOOTER : -12]
         if stream.read(1) or footer.summary_crc not in (0, zlib.crc32(summary)):
             raise ValueError("the checksum of the summary differs")
@@ -206,6 +210,7 @@ def _batches(file: VerifiedFile) -> Iterator[Batch]:
     for first in range(0, len(chunks), _TOGETHER):
         data = b"".join(map(unpacked, chunks[first : first + _TOGETHER]))
         messages = located(data, file.tick, file.tick.types)
+        # Events have different lengths, so only their heads are in the table.
         events = []
         for start, record_head in zip(*messages[layout.EVENTS], strict=True):
             end = start + layout.LENGTH_FROM + int(record_head["length"])
@@ -455,7 +460,9 @@ def _rows(batch: Batch, tick: layout.TickLayout) -> dict[str, Array]:
 
 
 def _rewritten(file: VerifiedFile) -> tuple[layout.TickLayout, dict[str, str], list[Batch]]:
-    """Return layout, types of topics and messages of a log that another program has rewritten, and tell the user.
+    """Return layout, types of topics and messages of a log that another program has rewritten.
+
+    A remark tells the user which program it was, and which topics the log lacks.
 
     Raises:
         InputError: the file holds no run, or several.
@@ -501,6 +508,7 @@ def read_log(path: Path | str) -> RunLog:
     described, result = file.values(layout.LAYOUT_RECORD), file.values(layout.RESULT_RECORD)
     ticks = result.get(layout.TICKS)
     columns = rows["control"].T if "control" in rows else ()
+    # Columns of the extras: time, then all standard deviations, then all values.
     extras, extra_count = rows.get("extras", np.empty((0, 1))), len(tick.extras)
     return RunLog(
         path=file.path,

@@ -115,7 +115,9 @@ class Digest:
         return Digest(number, self.session, on=self._now_on, limit=self.limit)
 
     def add_event(self, event: Event) -> None:
-        """Add an event; all earlier ticks must have been added.
+        """Add an event, and find from it whether the run is now on its itinerary.
+
+        All earlier ticks must have been added. Decisions of the run and its end are stored, other events are counted.
 
         Args:
             event: the event.

@@ -210,6 +210,7 @@ class ChunkEncoder:
             frame for prefix in prefixes for frame in link_frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
         messages = {layout.TRANSFORMS: layout.transforms(frames), layout.EXTRAS: tick.extras_message}
+        # Messages that are logged at the lower rate of viewing, by topic.
         self._slow = {
             topic: layout.Block({topic: messages[topic]}, tick.channels) for topic in messages if topic in tick.channels
         }
@@ -342,6 +343,10 @@ class LogWriter:
         self._encoder: ChunkEncoder | None = None
 
     def __enter__(self) -> "LogWriter":
+        """Create the partial file, and write the caller's metadata and attachments.
+
+        If these cannot be written, for example on a full disk, the partial file is removed.
+        """
         try:
             self.path = checked_target(self.path)
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -362,6 +367,10 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Complete and rename the file, or keep the partial file if the block has raised `error`.
+
+        A run that failed before its first tick leaves no file.
+        """
         if self._file.stream.closed:
             return
         try:
@@ -455,7 +464,7 @@ class LogWriter:
         return ChunkEncoder(tick)
 
     def _write_chunk(self) -> None:
-        """Write the collected ticks and single messages as a chunk.
+        """Write the collected ticks and single messages as a chunk; before the first one, write the layout.
 
         Raises:
             InputError: the file cannot be written.

@@ -59,6 +59,7 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
     scale, title = chart.scaled()
     axes.set(title=title, xlabel="time (s)" if view.arm_lengths else "time")
     axes.margins(x=0)
+    # For a key the style of each label, and for names at the right the end, label and colour of each curve.
     entries: dict[str, dict] = {}
     ends: dict[str, tuple[float, str, str]] = {}
     for line in (line for line in chart.lines if line.role != "detail"):

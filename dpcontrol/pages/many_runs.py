@@ -103,6 +103,8 @@ def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
 def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     """Draw the shares of completed runs over the level of trouble or over the mismatch, a curve for each group.
 
+    `summary.axis` selects the abscissa, "level" or "mismatch". A point stands in the middle of a range of levels.
+
     Args:
         axes: panel to draw on.
         summary: campaign with levels.

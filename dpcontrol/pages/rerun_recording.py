@@ -313,6 +313,7 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
     """
     rows, reach = trace_rows(view), sum(view.arm_lengths)
     time, arms = view.time[rows], _points(view.state[rows], view, 0.0)
+    # Name, joints (K, n+1, 3), m, and thickness as a share of the length of all arms.
     chains = [("arms", arms, 0.028)]
     if view.reference is not None:
         chains.append(("reference", _points(view.reference[rows], view, 0.03), 0.05))

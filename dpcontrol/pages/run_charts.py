@@ -140,6 +140,7 @@ def motion_charts(view: RunView) -> tuple[Chart, ...]:
         Chart("angles", title, "rad", _of_arms(view, 0, "θ"), half_turns=True),
         Chart("rates", "Rates", "rad/s", _of_arms(view, n, "ω"), note=note),
     ]
+    # The states of n arms have n angles, n rates, and the cart's position and velocity.
     if view.has_cart:
         cart_lines = _followed(view, 2 * n, "", view.what, style.PLANT)
         charts.append(

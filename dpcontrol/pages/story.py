@@ -45,6 +45,9 @@ class Strip:
 def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
     """Return the strips of a run's story that exist: planned and done itinerary, symbols, activities, and modes.
 
+    Their keys are "asked" and "done" for the stays as planned and as decoded, "symbol" for the spans between symbols,
+    "motion" for activities after falls, and "mode" for the controller's modes.
+
     Args:
         view: run to draw.
         until: planned end of the run, s; the plan's end by default.

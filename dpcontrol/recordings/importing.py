@@ -283,6 +283,9 @@ def _text(path: Path) -> tuple[list[str], dict[str, Sequence[str]]]:
     """Return the columns' names of a text table, and its cells by column, as texts.
 
     A first line of numbers is no header: the names are then 1, 2, ….
+
+    Raises:
+        ValueError: the table has fewer than two lines, or a row has not as many cells as the first line.
     """
     with path.open(encoding="utf-8-sig", newline="") as stream:
         # NumPy writes a header as a comment.

@@ -504,6 +504,7 @@ def simulated_recording(
         state = np.concatenate([np.asarray(start, dtype=float), np.zeros(n)])
         angles = propagator.sample(state, times)[:, :n] + (0.0 if zeros is None else zeros)
         if counts:
+            # Encoders at the joints round the angles between neighbouring arms.
             step = 2 * np.pi / counts
             relative = np.diff(angles, axis=1, prepend=0.0)
             angles = np.cumsum(step * np.rint(relative / step), axis=1)

@@ -233,7 +233,10 @@ def bifurcations_sentence(r: Any) -> str:
     """Return the sentence on a search for bifurcations: located events, unexplained changes, incomplete counts.
 
     Args:
-        r: a `BifurcationSearch`.
+        r: a `BifurcationSearch`, which varies the energy or another parameter, `r.course`. `r.counts` are the numbers
+            of connections at its values, `r.unexplained` their changes without a located event. Above
+            `r.scatters_from`, unless None, no count is complete. `r.born` is the energy of the higher saddle, if the
+            search starts just above it, or None.
     """
     count, unit = counted(len(r.events), "event"), r.course.unit
     unexplained = [(*change.values, change.reason) for change in r.unexplained[:5]]

@@ -32,7 +32,11 @@ _ON_MIRROR = 1e-5  # rad
 
 
 def branches_page(progress: Progress) -> PaperFigure:
-    """Draw first-hit connections of the lab pendulum against energy: homoclinics of both saddles, and heteroclinics."""
+    """Draw connections of the lab pendulum against energy: those of each saddle with itself, and between both.
+
+    They are the connections at the first crossing of their section by both tubes. A search follows them over energy and
+    locates their births and splittings; each has a panel for the angle and one for the momentum at the crossing.
+    """
     diagrams = [
         find_bifurcations(
             Quantity.of_energy(model_named("lab").system),
@@ -154,7 +158,10 @@ COUNTED = Path(__file__).with_name("passages.json")
 
 
 def transport_page(_: Progress) -> PaperFigure:
-    """Draw the rates of passage through both necks of the lab pendulum against energy."""
+    """Draw the rates of passage through both necks of the lab pendulum against energy, computed and counted.
+
+    A neck is the narrow part of the energy surface at a saddle. The counts are stored in the file `COUNTED`.
+    """
     system, counts = model_named("lab").system, json.loads(COUNTED.read_text(encoding="utf-8"))
     panels = (partial(_rates, system=system, saddle=saddle, counts=counts) for saddle in system.saddles)
     return PaperFigure(

@@ -61,7 +61,7 @@ def senses_page(_: Progress, *, saddle: str) -> PaperFigure:
 
 
 def cuts_page(progress: Progress) -> PaperFigure:
-    """Draw the cuts of Down-Up's tubes at six energies."""
+    """Draw the first cuts of Down-Up's tubes by the section with the outer arm hanging, θ₂ = 2πk, at six energies."""
     panels: list[Draw] = []
     words = []
     for k, energy in enumerate(CUT_ENERGIES):
@@ -90,7 +90,10 @@ _TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three
 
 
 def heteroclinics_page(_: Progress) -> PaperFigure:
-    """Draw the connections from Down-Up to Up-Down and back at 0.2 J, with their cuts."""
+    """Draw the connections from Down-Up to Up-Down and back at 0.2 J, a row for each direction.
+
+    A row has the cuts of both tubes, with the connections as common points, and some of the flights.
+    """
     atlas = atlas_at(SENSES_ENERGY)
     page = Page(f"Heteroclinic connections between Down-Up and Up-Down at {SENSES_ENERGY:g} J (first hits)")
     counts = []
@@ -155,7 +158,10 @@ _LENGTH = 3
 
 
 def graph_page(_: Progress) -> PaperFigure:
-    """Draw the graphs at -0.07 and 0.2 J."""
+    """Draw the connection graphs at -0.07 and 0.2 J, with orbits as nodes and the numbers of connections at arrows.
+
+    The caption has the number of walks of `_LENGTH` symbols, which are paths along connections of the graph.
+    """
     page, panels, words = Page("The connection graph: every walk on it is an itinerary"), [], []
     for energy in GRAPH_ENERGIES:
         graph = atlas_at(energy).graph()
@@ -194,7 +200,7 @@ def returning_search(system: System) -> ConnectionSearch:
 
 
 def returning_page(_: Progress) -> PaperFigure:
-    """Draw homoclinics of Down-Up that cross θ₁ = θ₂, pass Up-Down's side and return."""
+    """Draw homoclinics of Down-Up that cross θ₁ = θ₂ towards Up-Down's side and return without a turn of an arm."""
     search = returning_search(model_named("lab").system)
     back = [c for c in search.connections if not any(c.winding)]
     page = Page("Homoclinic orbits of Down-Up that return through θ₁ = θ₂ the other way, at 0.2 J")
@@ -221,7 +227,10 @@ def _returning_flights(axes: Axes, search: ConnectionSearch, connections: Sequen
 
 
 def shadowing_page(_: Progress) -> PaperFigure:
-    """Draw a homoclinic connection and two orbits that shadow it, one of them twice, the other periodically."""
+    """Draw a homoclinic connection of Down-Up and two orbits that shadow it, one of them twice, the other periodically.
+
+    To shadow means to stay close to it, with some wraps about the Lyapunov orbit between two turns.
+    """
     orbit = lyapunov_orbit(model_named("lab").system, "down-up", energy=-0.07)
     search = find_connections(orbit, orbit)
     connection = next(c for c in search.connections if c.symmetric and c.sense > 0)

@@ -24,7 +24,10 @@ _REACHED, _FORBIDDEN = "#dbe9f6", "#8d959e"
 
 
 def landscape_page(_: Progress) -> PaperFigure:
-    """Draw potential energies and Hill's regions at four energies, of three bodies and of the pendulum."""
+    """Draw potential energies and Hill's regions at four energies, of three bodies and of the pendulum.
+
+    Hill's region of an energy has the positions whose energy at rest is not larger; a motion of the energy stays in it.
+    """
     page = Page("Energy landscapes and Hill's regions: higher energies open more saddles")
     words = []
     for name, energies in LANDSCAPES.items():
@@ -66,7 +69,10 @@ Field = tuple[Array, Array, Array]
 
 
 def _landscape(axes: Axes, system: System, field: Field) -> None:
-    """Draw the potential energy over the plane of two coordinates."""
+    """Draw the potential energy over the plane of two coordinates, with a bar of its scale.
+
+    Systems in SI units are pendulums, other ones are three bodies.
+    """
     first, second, potential = field
     # The wells of the primaries are bottomless, so the scale is cut below the saddles' energies.
     shown = np.maximum(potential, potential.min() if system.si else -1.62)
@@ -108,7 +114,7 @@ _SIZES = (0.002, 0.02, 0.06, 0.12, 0.2)
 
 
 def lyapunov_orbits_page(_: Progress) -> PaperFigure:
-    """Draw Lyapunov orbits about both saddles in both phase planes."""
+    """Draw Lyapunov orbits of the lab pendulum in the phase plane of either arm, a row for each of two saddles."""
     system = model_named("lab").system
     page = Page("Lyapunov orbits of the lab pendulum, in the phase plane of either arm")
     for saddle in ("down-up", "up-down"):
