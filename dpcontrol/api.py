@@ -3249,7 +3249,7 @@ def _new_log(out: Place | Literal[True] | None, name: str, write: Callable[[Path
 
 
 def _draw(result: Any, file: Place | None) -> None:
-    """Draw a result if a file is given."""
+    """Draw the picture of a result that has one to a file; without a file, nothing is drawn."""
     if file is not None:
         _save(render(result), file)
 

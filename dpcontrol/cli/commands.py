@@ -199,7 +199,10 @@ def _parameters(
 
 
 def _kinds(hint: Any) -> list[Any]:
-    """Return the types that a parameter accepts, without None and annotations, by which its text is read."""
+    """Return the types that a parameter accepts, without None and annotations, by which its text is read.
+
+    `hint` is the annotation of the parameter, such as `Path | str | None`.
+    """
     if get_origin(hint) is Annotated:
         return _kinds(get_args(hint)[0])
     if get_origin(hint) in (Union, UnionType):
@@ -208,7 +211,10 @@ def _kinds(hint: Any) -> list[Any]:
 
 
 def _output(hint: Any) -> Output | None:
-    """Return the declaration of the file that a parameter of this type names, or None if it names none to write."""
+    """Return the declaration of the file that a parameter names, or None if it names none to write.
+
+    `hint` is the annotation of the parameter; for a file to write, it is `Annotated` with an `Output`.
+    """
     return next(
         (annotation for annotation in getattr(hint, "__metadata__", ()) if isinstance(annotation, Output)), None
     )

@@ -52,7 +52,7 @@ def completing(values: Values, *, files: bool = False, listed: bool = False) -> 
 
 
 def _system(context: click.Context) -> Any:
-    """Return the system of the model on the command line, whose saddles and sections can complete a word.
+    """Return the `System` of the model on the command line, whose saddles and sections can complete a word.
 
     Without a model, it is that of the lab.
     """

@@ -106,7 +106,10 @@ def _rows(value: Any, columns: str) -> Any:
 
     Args:
         value: object, list or mapping.
-        columns: entries as in `KEYS`, separated by commas.
+        columns: entries as at the head of this module, separated by commas.
+
+    Returns:
+        A dictionary of the entries, or a list or mapping of such dictionaries.
     """
     if isinstance(value, list | tuple):
         return [_row(item, columns) for item in value]
@@ -116,7 +119,10 @@ def _rows(value: Any, columns: str) -> Any:
 
 
 def _row(value: Any, columns: str) -> dict[str, Any]:
-    """Return selected entries of one object; a plain tuple gets the names in order."""
+    """Return selected entries of one object, a dictionary by name; a plain tuple gets the names in order.
+
+    `columns` are entries as at the head of this module, separated by commas.
+    """
     if type(value) is tuple:
         return dict(zip(columns.split(","), value, strict=True))
     return document_of(value, columns.replace(",", " "))

@@ -75,7 +75,7 @@ def live_view(start: Any) -> AbstractContextManager[Any]:
     """Return a sink for a closed loop that shows the run in the Rerun viewer while it lasts.
 
     Args:
-        start: log of the run before its first row.
+        start: `RunLog` of the run before its first row.
 
     Raises:
         InputError: there is no viewer, or no display to open it on.

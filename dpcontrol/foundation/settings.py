@@ -299,7 +299,7 @@ def frozen(value: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as the strict checks of pydantic accept it.
+    """Return a value from a file or from Python as the strict checks of pydantic accept it.
 
     Lists become tuples, arrays and numbers of NumPy those of Python, and floats without a fraction whole numbers.
     """

@@ -225,7 +225,13 @@ class Choice:
     required: ClassVar[bool] = False
 
     def read(self, values: Any, place: Place, context: Any = None) -> Any:
-        """Return the object that the chosen table makes of the values of a file; see `Table.read`."""
+        """Return the object that the chosen table makes of `values`, which are values by key as TOML gives them.
+
+        `place` and `context` are passed on, see `Table.read`.
+
+        Raises:
+            InputError: no table has the chosen name, or a mistake in the chosen one.
+        """
         with place:
             kind = self.choose(values) if isinstance(values, Mapping) else next(iter(self.tables))
             check_choice(self.key, self.tables, kind)
@@ -240,7 +246,13 @@ class Tables:
     required: bool = False
 
     def read(self, values: Any, place: Place, context: Any = None) -> tuple[Any, ...]:
-        """Return the object that each table makes of its values; see `Table.read`."""
+        """Return the object that each table makes of its values; `values` is the list of tables as TOML gives it.
+
+        `place` and `context` are passed on, see `Table.read`.
+
+        Raises:
+            InputError: there is no table, or one entry is no table; or every mistake in the tables.
+        """
         if not (isinstance(values, list) and values and all(isinstance(table, dict) for table in values)):
             sentence = f"{place.table} = {shortened(values)}: must be tables, each under [[{place.table}]]"
             raise InputError(sentence, where=f"{place.file}: ", key=place.table)

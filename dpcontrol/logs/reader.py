@@ -121,7 +121,10 @@ class _Records(StreamReader):
     """Reads all records but indexes of messages, whose entries the mcap package reads one by one."""
 
     def _read_record(self, opcode: int, length: int) -> Any:
-        """Return the record of this opcode and length from the stream, None for an index of messages."""
+        """Return the record of this opcode and length from the stream as an object of the mcap package.
+
+        An index of messages is skipped, and the result is None.
+        """
         if opcode != Opcode.MESSAGE_INDEX:
             return super()._read_record(opcode, length)
         self._stream.read(length)

@@ -91,7 +91,8 @@ def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
 def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
     """Return the four parts of a saddle's tubes up to a cut: both branches, unstable and stable.
 
-    The atlas stores the unstable tube only; time reversal gives the stable one.
+    A branch is one of the two sides, 1 and -1, on which trajectories leave the orbit. The atlas stores the unstable
+    tube only; time reversal gives the stable one.
 
     Args:
         atlas: atlas with the cut.
@@ -185,6 +186,9 @@ def draw_cuts(
 ) -> None:
     """Draw both tubes' cuts of a kind on its section and mark its connections, which are points of both cuts.
 
+    A kind has the connections from one saddle's orbit to another's that meet a section after given numbers of
+    crossings. A cut is the curve in which a tube meets the section.
+
     Args:
         axes: panel to draw on.
         atlas: atlas with the kind.
@@ -272,7 +276,8 @@ def draw_motions(
 ) -> None:
     """Draw tubes, orbits and flights in space, or in the plane of coordinates.
 
-    Flights start at their source's named position. If they end whole turns away, the target orbit is drawn there.
+    A flight is the trajectory of a connection. It starts at its source's named position. If flights end whole turns
+    away, the target orbit is drawn there.
 
     Args:
         axes: panel in space or in the plane.

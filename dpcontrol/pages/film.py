@@ -259,6 +259,7 @@ class Film:
         if row < 0:
             scene.text(0.5, 0.5, "no data", color=style.MARK, ha="center", **look)
         else:
+            # The path of the tip begins no earlier than the last gap in the ticks.
             first_row = int(np.searchsorted(view.time, view.time[row] - _FILMED_TRACE))
             first_row = max(first_row, int(view.breaks[view.breaks <= row].max(initial=0)))
             points_per_metre = float(np.ptp(scene.transData.transform([(0.0, 0.0), (1.0, 0.0)])[:, 0])) * 72 / _PIXELS

@@ -134,10 +134,10 @@ def _chart(axes: Axes, chart: Chart, drawn: Callable[..., None], *, last: bool) 
 
 
 def view_of(result: Any) -> Any:
-    """Return the motion of a result as pages and films draw it, or the object itself if it is one or has none.
+    """Return the motion of a result as a `RunView`, which pages and films draw, or the object itself if it has none.
 
     Args:
-        result: run, plan, log, sustained orbit or walk, for example.
+        result: run, plan, log, sustained orbit or walk, for example; a `RunView` is returned unchanged.
     """
     # A run is drawn from its log.
     result = getattr(result, "log", result)

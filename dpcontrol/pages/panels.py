@@ -76,8 +76,8 @@ def readable_ticks(axis: Any, unit: str) -> None:
     """Label a logarithmic axis by powers of ten, short ranges also between them, with prefixed units.
 
     Args:
-        axis: x or y axis.
-        unit: unit of its values.
+        axis: x or y axis of matplotlib, whose range is final.
+        unit: unit of its values, "" for plain numbers.
     """
     low, high = axis.get_view_interval()
     multiples = (1.0, 2.0, 5.0) if high < _LONG * low else (1.0,)

@@ -171,7 +171,8 @@ def _of_arms(view: RunView, first: int, symbol: str) -> tuple[Line, ...]:
 def _followed(view: RunView, column: int, key: str, label: str, colour: str) -> tuple[Line, ...]:
     """Return the lines of one column of the states: reference, estimate and state, as far as known.
 
-    Beside the plant, the estimate is a detail, which only the viewer shows.
+    `view.what` names the drawn states, such as "plant" or "estimate", and `view.against` the reference. The estimate is
+    drawn unless it is the state itself. It is then a detail, which only the viewer shows.
 
     Args:
         view: motion to draw.
@@ -279,7 +280,10 @@ def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None =
 
 
 def _tracking_error(view: RunView) -> Chart | None:
-    """Return the chart of the angles less those of the reference, rad; None without a reference."""
+    """Return the chart of the angles less those of the reference, rad; None without a reference.
+
+    `view.what` names the drawn states, such as "plant", and `view.against` what they are compared with.
+    """
     if view.reference is None:
         return None
     return Chart(

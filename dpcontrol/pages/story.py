@@ -113,7 +113,10 @@ def _motions(view: RunView) -> Iterator[Span]:
 
 
 def _stays(stays: tuple[Stay, ...]) -> Iterator[Span]:
-    """Yield stays as spans in the colours of their saddles; stays that the plan does not contain are red."""
+    """Yield stays as spans in the colours of their saddles; stays that the plan does not contain are red.
+
+    A stay is a period of time near the orbit about a saddle, or at rest at it.
+    """
     for stay in stays:
         colour = style.saddle_colour(stay.saddle) if stay.wanted else style.LIMIT
         yield Span(stay.first, stay.last, stay.text, colour, "stay" if stay.wanted else "astray")

@@ -131,7 +131,10 @@ def _name(key: str, units: Mapping[str, str]) -> str:
 
 
 def _rows(value: Any) -> list[Mapping[str, Any]]:
-    """Return the rows of a list, or of a mapping with a name for each; none for other values."""
+    """Return the rows of a list of mappings, or of a mapping with a name for each row; none for other values.
+
+    `value` is an entry of a JSON document.
+    """
     if isinstance(value, Mapping) and all(isinstance(row, Mapping) for row in value.values()):
         return [{"name": name, **row} for name, row in value.items()]
     return value if isinstance(value, list) and all(isinstance(row, Mapping) for row in value) else []
@@ -140,7 +143,8 @@ def _rows(value: Any) -> list[Mapping[str, Any]]:
 def _sentences(value: Any) -> list[str]:
     """Return the texts of a list or mapping as lines, if at least one is a sentence; none for other values.
 
-    A mapping gives each line the name of its text. A text with a blank counts as a sentence.
+    `value` is an entry of a JSON document. A mapping gives each line the name of its text. A text with a blank counts
+    as a sentence.
     """
     texts = list(value.values()) if isinstance(value, Mapping) else value
     is_prose = isinstance(texts, list) and all(isinstance(text, str) for text in texts)

@@ -225,7 +225,7 @@ def conditions_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _at(settings: Mapping[str, Any], path: str) -> Any:
-    """Return the value of a setting at its path, which has at most one dot."""
+    """Return the JSON value of a setting at its path, "key" or "table.key", in settings by table and key."""
     table, _, key = path.rpartition(".")
     return settings[table][key] if table else settings[key]
 

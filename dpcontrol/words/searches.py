@@ -53,12 +53,12 @@ def _failed(why: str) -> Callable[[Any], str]:
 
 
 def _joule(r: Any, energy: float, digits: int = 6) -> str:
-    """Return an energy as text with `digits` significant digits; J follows if the result's system has SI units."""
+    """Return an energy as text with `digits` significant digits; J follows if the system of `r` has SI units."""
     return f"{energy:.{digits}g}{r.system.unit('J')}"
 
 
 def _second(r: Any, time: float) -> str:
-    """Return a duration as text; s follows if the result's system has SI units."""
+    """Return a duration as text; s follows if the system of the result `r` has SI units."""
     return f"{time:.3g}{r.system.unit('s')}"
 
 
@@ -80,13 +80,16 @@ def _missed(r: Any, text: str) -> str:
 
 
 def _cut(r: Any, *clauses: str) -> str:
-    """Return the sentence on a cut of a tube: its clauses, and a note if the refinement used up its processor time."""
+    """Return the sentence on a cut of a tube: its clauses, and a note if the refinement used up its processor time.
+
+    `r` is the cut: `r.spent` is True if the time is used up, and `r.seconds` is its limit, which may be infinite.
+    """
     out_of_time = f"partial: the cut reached its limit of {r.seconds:g} s of processor time: allow more seconds"
     return _joined(*((True, clause) for clause in clauses), (r.spent and math.isfinite(r.seconds), out_of_time))
 
 
 def _tubes(r: Any) -> str:
-    """Return the outcomes of both cuts of a search for connections, those of the unstable and of the stable tube."""
+    """Return the outcomes of both cuts of a search `r` for connections, of the unstable and of the stable tube."""
     return f"unstable tube {r.cuts[0].status}; stable tube {r.cuts[1].status}"
 
 
@@ -210,7 +213,9 @@ def caveat_sentence(r: Any) -> str:
     """Return the reason for which the count of connections at one energy may be too small, or "" if it is complete.
 
     Args:
-        r: search at one energy of a search for bifurcations.
+        r: search at one energy of a search for bifurcations. `r.unresolved` are cuts that were not refined enough,
+            `r.failed` and `r.unmatched` are numbers of crossings, and `r.orbits` is empty if an orbit or its tube does
+            not exist.
     """
     if r.unresolved:
         return f"{r.unresolved[-1].hit}. crossing: {r.unresolved[-1].status}"
@@ -272,7 +277,7 @@ def _passed(use: Any) -> str:
 
 
 def _mesh(r: Any) -> str:
-    """Return the clause on the accuracy of a reference: its error between the nodes of the mesh."""
+    """Return the clause on the accuracy of a reference `r`: its error between the nodes of the mesh, scaled."""
     return f"error between nodes {r.error:.1e} on {r.intervals} intervals"
 
 
