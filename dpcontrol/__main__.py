@@ -27,7 +27,7 @@ def main() -> None:
 
 
 def _discard_unwritable_output() -> None:
-    """Empty the buffers of full or closed streams.
+    """Write the buffered output, and discard it if its stream is full or closed.
 
     Python's own attempt at exit would replace the exit code by 120.
     """

@@ -45,6 +45,7 @@ def show(result: Any, also: Mapping[str, Any]) -> None:
 
     call = click.get_current_context().ensure_object(Call)
     call.shown = True
+    # While the verb worked with --json, its own output went to stderr. This ends now, for the document alone.
     call.aside.close()
     if call.as_json:
         print_json({**(result.document() if hasattr(result, "document") else result), **also})

@@ -196,6 +196,7 @@ def _kind(hint: Any) -> _Kind:
         return _Kind(" or ".join(nouns), lambda value: any(part.fits(value) for part in parts))
     if kind is Annotated:
         noun, fits = _kind(inner[0])
+        # `Between` declares the bounds of a number, or the allowed texts.
         bounds = next((constraint for constraint in inner if isinstance(constraint, Between)), None)
         if bounds is None:
             return _Kind(noun, fits)

@@ -93,6 +93,7 @@ def _part(value: Any, path: str) -> Any:
     for name in path.lstrip("#").split("."):
         if value is None:
             return None
+        # A named tuple is an object with attributes, not a sequence.
         if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
             value = value[int(name)] if name.isdigit() else [getattr(item, name) for item in value]
         else:

@@ -385,6 +385,7 @@ class Settings:
             InputError: every mistake with table, key, value and allowed range.
         """
         mistakes = Mistakes()
+        # Only values that differ from their defaults need a check.
         for name, leaf in leaves_of(type(self)).items():
             value = getattr(self, name)
             if value is not leaf.default:

@@ -615,6 +615,7 @@ def write_replay(result: Replay, path: Path | str, *, model: str, model_text: st
     control = {"nis": result.nis, "applied": acceleration}
     if recording.command is not None:
         control["command"] = recording.command
+    # An event for each predicted stretch of samples, from the first one to the end, which is not included.
     pieces = [
         (
             first,

@@ -209,7 +209,8 @@ class WindowedFit(Brief):
 def clustered_covariance(information: NDArray[Any], scores: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Return the covariance (f, f) of estimates whose residuals are correlated, infinite where they are undetermined.
 
-    It is Cov at the head of this module, where the information is H and the scores are summed over blocks to g.
+    It is Cov at the head of this module, where the information is H and the scores are summed over blocks to g. There
+    are f unknowns, and each stretch of measurements has K samples of n quantities.
 
     Args:
         information: information matrix (f, f) of real numbers.
@@ -278,6 +279,8 @@ def fit_windows(
 ) -> WindowedFit:
     """Fit the starts of windows and the free parameters by bounded Gauss-Newton steps.
 
+    There are V parameters, f of which are free, and W windows, each of which has a start of s numbers.
+
     Args:
         model: model of the measurements.
         values: first guess or fixed values (V,) of all parameters.
@@ -301,6 +304,7 @@ def fit_windows(
         if not np.isfinite(normal.scaled).all():
             status = "errors grow too much along a swing to determine its start; cut the swings shorter"
             break
+        # The share is 1 for a whole step, and less for a shortened one.
         next_iterate, share = _improved(iterate, model, unknowns, bounds, normal, threshold)
         if next_iterate is None:
             # At the minimum no step reduces the misfit either.

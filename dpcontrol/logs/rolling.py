@@ -273,6 +273,8 @@ class RollingLog:
     def ticks(self, time_s: Any, **parts: Any) -> None:
         """Log K periods of the loop, in one file; see `LogWriter.ticks`.
 
+        If they begin after the end of the current file, the next file is begun before.
+
         Args:
             time_s: times (K,) since the start of this session, s.
             **parts: rows (K, …) by name.

@@ -110,6 +110,7 @@ def robot_description(
         ghost: True for the reference: grey arms without track, whose names have a prefix.
     """
     prefix = REFERENCE_PREFIX if ghost else ""
+    # URDF needs limits of the cart: without given ones, the track is as long as the arms on either side.
     track_end, speed = (limits[0], limits[1]) if limits else (max(sum(arm_lengths), 0.1), 3.0)
     colours = _INK["ghost" if ghost else "robot"]
     # The ghost swings just behind the robot; in one plane the two would flicker.

@@ -136,7 +136,11 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
 
 
 def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
-    """Draw the numbers of failed runs by the symbol that was not done, the most frequent at the top."""
+    """Draw the numbers of failed runs by the symbol that was not done, the most frequent at the top.
+
+    `summary.failed_symbols` has a group's name, the number of the symbol from 1, or 0 if it is unknown, and the number
+    of runs that failed at it.
+    """
     failed = sorted(summary.failed_symbols, key=lambda failure: -failure[2])[:_SYMBOLS]
     colours = _group_colours(summary, [label for label, _, _ in failed])
     rows = [
@@ -408,7 +412,7 @@ def _border(axes: Axes, border: HazardBorder) -> None:
 def _changes(axes: Axes, preflight: Preflight) -> None:
     """Draw the gain of each tried change of the settings, in percent of all runs, with two standard errors.
 
-    A gain that exceeds two standard errors is green.
+    A gain is the increase of the share of completed runs by the change. One that exceeds two standard errors is green.
     """
     rows = [
         Bar(change.text, gain, style.GOOD if gain > two_errors else style.FAINT, (gain - two_errors, gain + two_errors))

@@ -154,6 +154,7 @@ def flight(axes: Axes, result: Flight) -> None:
         result: flight to draw.
     """
     times = np.linspace(*result.time_range, 400)
+    # A state has the angle and the rate of each arm, and the cart's position and velocity, which come last.
     states, arms = result.states(times), result.nodes.shape[1] // 2 - 1
     for arm in range(arms):
         axes.plot(times, states[:, arm] / (2 * np.pi), color=style.arm_colour(arm), label=f"arm {arm + 1}, turns")

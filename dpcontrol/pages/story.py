@@ -264,7 +264,8 @@ def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[floa
 def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: float) -> None:
     """Mark the symbols at their planned and actual times, number the planned ones, and name them if there is room.
 
-    A number or a name that would overlap the one before is left out.
+    `view.symbols` has the name of each symbol, its planned time and its actual one, s, or None if it was not done. A
+    number or a name that would overlap the one before is left out.
 
     Args:
         axes: panel of the story.

@@ -158,6 +158,7 @@ def up_up_states(system: System) -> Array:
     """
     top = system.equilibria["up-up"]
     values, vectors = np.linalg.eig(system.numeric.jacobian(top))
+    # The two growing directions, the slow one first.
     rising = np.argsort(np.real(values))[-2:]
     plane = np.real(vectors[:, rising]) / np.linalg.norm(np.real(vectors[:, rising]), axis=0)
     # The slow direction grows less until the fast one has left; a logarithmic scale covers all ratios of both.
