@@ -217,7 +217,7 @@ class Leaf:
         Raises:
             InputError: it is of another type, or out of bounds.
         """
-        # MISSING: only pydantic can read the value, or tell why it does not fit.
+        # MISSING stands for a value that only pydantic can read, or reject with a reason.
         key, result = key or self.name, _exactly(_plain(value), self.hint)
         if result is MISSING:
             from pydantic import ValidationError

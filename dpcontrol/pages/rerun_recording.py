@@ -255,6 +255,7 @@ def _changes(strip: Strip, view: RunView) -> tuple[list[tuple[float, str]], dict
     colours: dict[str, str] = {}
     for span in (span for span in strip.spans if span.kind != "transfer"):
         text = f"not planned: {span.text}" if span.kind == "astray" else span.text
+        # A span ends those before it, and replaces changes that were expected after its beginning.
         states = {moment: state for moment, state in states.items() if moment < span.first} | {
             max(span.first, begin): text
         }

@@ -88,6 +88,7 @@ def search(axes: Axes, result: ConnectionSearch, shown: Sequence[Connection] | N
     """
     shown = result.connections if shown is None else shown
     section = result.cuts[0].section
+    # The coordinate of the states that the position on the section mainly measures.
     coordinate = int(np.argmax(np.abs(section.position)))
     period = float(result.source.system.periods[coordinate])
     for manifold, cut in zip((result.source.manifold(), result.target.manifold(stable=True)), result.cuts, strict=True):

@@ -103,6 +103,7 @@ def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Li
     """
     names = {key: _name(key, units) for key in document}
     width = max(map(len, names.values()), default=0)
+    # The status, for which the comparison is True, comes last.
     for key in sorted(document, key="status".__eq__):
         value = document[key]
         rows = _rows(value)
