@@ -8,7 +8,7 @@ from types import FrameType
 
 
 def main() -> None:
-    """Run the command line and exit."""
+    """Run the command line and exit, with threads and pictures set up before any numerical module is imported."""
     # The imports of the command line take a while. An interrupt before their end needs no cleaning up.
     signal.signal(signal.SIGINT, _ended_at_once)
     # Matrices are small here, so threads of a BLAS cost up to four times the time on two cores. The last digits would
@@ -27,7 +27,7 @@ def main() -> None:
 
 
 def _discard_unwritable_output() -> None:
-    """Empty the buffers of full or closed streams.
+    """Write the buffered output, and discard it if its stream is full or closed.
 
     Python's own attempt at exit would replace the exit code by 120.
     """

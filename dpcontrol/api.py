@@ -905,7 +905,7 @@ def prove_statement(
         raise InputError("a horseshoe needs homoclinics of one orbit: omit the target")
 
     def proved(energies: proofs.Energies) -> proofs.Proof:
-        """Return the proof over an interval of energies, which `over_range` halves if the proof fails."""
+        """Return the proof of `statement` over an interval, which `over_range` halves if the proof fails."""
         height, energy_and_settings = float(energies.middle), {"energy": energies, "settings": settings}
         if statement == "graph":
             return prove_graph(system, **energy_and_settings, yes=yes, progress=progress)
@@ -1511,7 +1511,7 @@ def campaign(
     record = campaigns.campaign_record(loaded, cases, counts, transitions=transitions)
 
     def check(file: Path) -> None:
-        """Reject a table of another campaign, which would be lost."""
+        """Reject a file with the table of another campaign, which would be lost, unless `force` is True."""
         if not force:
             campaigns.check_table(file, record)
 
@@ -3249,7 +3249,7 @@ def _new_log(out: Place | Literal[True] | None, name: str, write: Callable[[Path
 
 
 def _draw(result: Any, file: Place | None) -> None:
-    """Draw a result if a file is given."""
+    """Draw the picture of a result that has one to a file; without a file, nothing is drawn."""
     if file is not None:
         _save(render(result), file)
 
@@ -3350,7 +3350,10 @@ def _rotating(
 def _changes(
     system: System, symbols: Sequence[walk_symbols.Symbol], energies: tuple[float, float], progress: Progress
 ) -> following.SymbolChanges:
-    """Return the energies of a range at which the symbols of a walk come to select other connections."""
+    """Return the energies of a range at which the symbols of a walk come to select other connections.
+
+    `energies` are the ends of the range, in the system's unit.
+    """
     return following.SymbolChanges(
         following.symbol_changes(system, symbols, energies, progress=progress), energies, system.unit("J")
     )
@@ -3372,9 +3375,12 @@ def _solved(
     Args:
         walks: walks on a graph.
         folder: folder of the orbits' files, or None.
-        shown: files of a picture and a film, or None; only for a single walk.
+        shown: files of a picture and a film, or None; only for a single walk. They are drawn if its orbit converges.
         energy: exact energy for a refinement in 113 bits, or None for double precision.
         progress: receiver of progress reports.
+
+    Raises:
+        InputError: a picture or film of several walks is requested, or too many walks are to be refined.
     """
     count = len(walks.walks)
     if any(shown) and count != 1:
@@ -3411,7 +3417,11 @@ def _proof_cost(periods: float) -> Cost:
 
 
 def _certified(proof: proofs.Proof, out: Place | None) -> proofs.Proof:
-    """Write the certificate of a proof that has one, and return the proof with its file."""
+    """Write the certificate of a proof to `out`, and return the proof with the file.
+
+    The proof is returned unchanged if no file is requested or nothing is proved. It is also unchanged, and a remark is
+    printed, if the proof has no certificate.
+    """
     if out is None or not proof.proved:
         return proof
     if proof.certificate is None:
@@ -3422,14 +3432,22 @@ def _certified(proof: proofs.Proof, out: Place | None) -> proofs.Proof:
 
 
 def _same_level(system: System, energy: float, other: System, other_energy: float) -> None:
-    """Reject two results that belong to different systems or energies, and so to different energy surfaces."""
+    """Reject two results that belong to different systems or energies, and so to different energy surfaces.
+
+    Raises:
+        InputError: the systems or the energies differ.
+    """
     system.check_same(other)
     if energy != other_energy:
         raise InputError(f"the results are of different energies, {energy:g} and {other_energy:g}; use one")
 
 
 def _edges(searches: Sequence[tubes.ConnectionSearch]) -> graphs.Edges:
-    """Return the part of the connection graph that some searches found, all at one energy."""
+    """Return the part of the connection graph that some searches found, all at one energy.
+
+    Raises:
+        InputError: there is no search, or the searches are of different systems or energies.
+    """
     if not searches:
         raise InputError("found = []: give a graph, or one search for connections at least")
     first_orbit = searches[0].source
@@ -3483,6 +3501,9 @@ def _linked(
 
     Raises:
         InputError: options of links are given for another kind of rig.
+
+    Returns:
+        `rig` itself if no option is given, else a link that opens the bench with these options.
     """
     if not (key_file or insecure or real_time):
         return rig
@@ -3492,7 +3513,10 @@ def _linked(
 
 
 def _drawn(result: Any, file: Place | None) -> Any:
-    """Return a result with the name of its picture, which is drawn if a file is given."""
+    """Draw the picture of a result to `file`, and return the result with the name of the picture.
+
+    Without a file, nothing is drawn and the result is unchanged.
+    """
     _draw(result, file)
     return result if file is None else replace(result, picture=Path(file))
 

@@ -96,7 +96,11 @@ def command(name: str, verb: Verb) -> click.Command:
     params.append(Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="One JSON document on stdout."))
 
     def run(*, as_json: bool, **values: Any) -> None:
-        """Call the function with the values of the command line, print its result, and draw it if requested."""
+        """Call the verb's `function` with the values of the command line, print its result, and draw it if requested.
+
+        `values` are those of all arguments and options by parameter, None for those not given. Options of settings are
+        gathered in one mapping, and files to write are checked, before the function is called.
+        """
         call = click.get_current_context().ensure_object(Call)
         call.as_json = as_json
         if "settings" in parameters:
@@ -165,6 +169,7 @@ def _parameters(
             [name], nargs=-1 if takes_several else 1, required=required, type=kind, shell_complete=completer
         )
         return
+    # From here on the parameter is an option; flags that are on by default get an option that turns them off.
     names = declared.names.get(name, f"--{name.replace('_', '-')}")
     names = (names,) if isinstance(names, str) else names
     flag = kind is bool
@@ -194,7 +199,10 @@ def _parameters(
 
 
 def _kinds(hint: Any) -> list[Any]:
-    """Return the types that a parameter accepts, without None and annotations, by which its text is read."""
+    """Return the types that a parameter accepts, without None and annotations, by which its text is read.
+
+    `hint` is the annotation of the parameter, such as `Path | str | None`.
+    """
     if get_origin(hint) is Annotated:
         return _kinds(get_args(hint)[0])
     if get_origin(hint) in (Union, UnionType):
@@ -203,7 +211,10 @@ def _kinds(hint: Any) -> list[Any]:
 
 
 def _output(hint: Any) -> Output | None:
-    """Return the declaration of the file that a parameter of this type names, or None if it names none to write."""
+    """Return the declaration of the file that a parameter names, or None if it names none to write.
+
+    `hint` is the annotation of the parameter; for a file to write, it is `Annotated` with an `Output`.
+    """
     return next(
         (annotation for annotation in getattr(hint, "__metadata__", ()) if isinstance(annotation, Output)), None
     )
@@ -216,6 +227,9 @@ def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
         name: name of the parameter, which may have a parser of its own; "" for an entry of a list.
         kinds: types of the parameter, of which the first that click can read counts.
         output: declaration of the file that it names, or None.
+
+    Returns:
+        A type of click, a tuple of types for several values, or one of bool, int, float and str.
     """
     if name in PARSERS and int not in kinds:
         return PARSERS[name]
@@ -319,7 +333,10 @@ PARSERS: Mapping[str, click.ParamType] = {
 
 
 def _setting_options() -> Iterator[Option]:
-    """Yield an option for each common setting, and --set for all settings."""
+    """Yield an option for each common setting of runs, and --set for all settings.
+
+    `overrides.NAMED` has the help of the common settings by path; the option has the name of the path's last part.
+    """
     for path, text in overrides.NAMED.items():
         name = path.rpartition(".")[2]
         yield Option(
@@ -377,7 +394,10 @@ def _over(given: Sequence[tuple[str, str]]) -> dict[str, list[Any]] | None:
 
 
 def _serve(server: Any) -> None:
-    """Serve until the server ends or the user presses Ctrl-C, which is the normal end of such a verb."""
+    """Serve until the server ends or the user presses Ctrl-C, which is the normal end of such a verb.
+
+    `server` is the result of the verb: a context manager with the method `serve`, such as an example bench.
+    """
     # A reader behind a pipe waits for the address.
     sys.stdout.flush()
     with server:

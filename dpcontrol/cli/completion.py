@@ -35,7 +35,10 @@ def completing(values: Values, *, files: bool = False, listed: bool = False) -> 
     """
 
     def complete(context: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Return the words that can complete an incomplete one; in a list, the completed entries stay before them."""
+        """Return the words, or click's marker for files, that can complete `incomplete`, as `values` gives them.
+
+        If the parameter is `listed`, the completed entries of the list stay before each value.
+        """
         prefix = incomplete[: max(map(incomplete.rfind, ",=")) + 1] if listed else ""
         items: list[CompletionItem] = []
         # Unknown names have no values, and messages would garble the command line.
@@ -49,7 +52,7 @@ def completing(values: Values, *, files: bool = False, listed: bool = False) -> 
 
 
 def _system(context: click.Context) -> Any:
-    """Return the system of the model on the command line, whose saddles and sections can complete a word.
+    """Return the `System` of the model on the command line, whose saddles and sections can complete a word.
 
     Without a model, it is that of the lab.
     """

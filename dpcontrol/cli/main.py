@@ -44,7 +44,11 @@ class _Verbs(click.Group):
             show_warning, printed = warnings.showwarning, set[str]()
 
             def show(message: Warning | str, category: type[Warning], file: str, *place: Any) -> None:
-                """Print a remark that is new; pass on other warnings if the user can do something about them."""
+                """Print a remark that is new; pass on other warnings if the user can do something about them.
+
+                It takes the place of `warnings.showwarning`. `file` is the file that caused the warning, and `printed`
+                has the remarks so far.
+                """
                 if not issubclass(category, Remark):
                     # Warnings from a user's own law or plant are for the user.
                     if ctx.obj.debug or not file.startswith(_INSTALLED):
@@ -63,7 +67,10 @@ class _Verbs(click.Group):
                 raise click.Abort from error
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments before the verb; note a request for help, and answer --version with --json."""
+        """Parse the arguments before the verb, and answer --version with --json.
+
+        Whether help is requested is stored in the context, since help must not need a valid configuration.
+        """
         if set(args) == {"--version", "--json"}:
             print_json({name: number or None for name, number in versions().items()})
             ctx.exit()
@@ -140,7 +147,8 @@ def _defaults() -> dict[str, dict[str, Any]]:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit.
 
-    User errors are one line on stderr without a traceback.
+    User errors are one line on stderr without a traceback. The help of the program, that of `cli`, explains the exit
+    codes.
 
     Args:
         arguments: arguments after the program's name; None for those of the process.

@@ -36,7 +36,7 @@ def show(result: Any, also: Mapping[str, Any]) -> None:
 
     Args:
         result: result of a public function, a mapping, or a sequence of results.
-        also: further entries of the document.
+        also: further entries of the document, such as the file of a picture.
 
     Raises:
         GoalMissed: the goal of the verb was missed, with the reason.
@@ -45,6 +45,7 @@ def show(result: Any, also: Mapping[str, Any]) -> None:
 
     call = click.get_current_context().ensure_object(Call)
     call.shown = True
+    # While the verb worked with --json, its own output went to stderr. This ends now, for the document alone.
     call.aside.close()
     if call.as_json:
         print_json({**(result.document() if hasattr(result, "document") else result), **also})
@@ -123,7 +124,7 @@ def _rich_table(shown: TextTable) -> Any:
     from rich.text import Text
 
     def texts(cells: Iterable[str]) -> Iterator[Text]:
-        """Return cells as texts that rich does not read as markup."""
+        """Return cells as texts of rich, in which brackets are no markup and control characters are escaped."""
         return (Text(printable(cell)) for cell in cells)
 
     table = Table(title=Text(printable(shown.title)) if shown.title else None, title_justify="left", title_style="bold")

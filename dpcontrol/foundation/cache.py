@@ -170,7 +170,7 @@ class CacheContents(Documented):
 
 
 def cache_contents(*, clear: bool = False) -> CacheContents:
-    """Return the contents of the cache, and empty it on request.
+    """Return the contents of the cache, as they are before it is emptied on request.
 
     Args:
         clear: delete the cache's own files; other files in the folder are kept.
@@ -194,7 +194,10 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
 
 
 def commit() -> str:
-    """Return the commit of a checkout of the sources, "" for an installed package, for the metadata of logs."""
+    """Return the commit of a checkout of the sources, for the metadata of logs.
+
+    It ends in "-dirty" if files differ from the commit. It is "" for an installed package, or if git fails.
+    """
     root = PACKAGE.parent
     if not (root / ".git").exists():
         return ""

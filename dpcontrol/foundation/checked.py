@@ -40,7 +40,7 @@ def checked(function: Function) -> Function:
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        """Check the arguments, then call the function with a receiver of progress reports if it takes one."""
+        """Check the arguments of `function`, then call it with a receiver of progress reports if it takes one."""
         signature, hints = _signature(function), annotations_of(function)
         bound = signature.bind(*args, **kwargs)
         for name, value in bound.arguments.items():
@@ -100,7 +100,7 @@ def check(name: str, value: Any, hint: Any) -> None:
     Args:
         name: name of the argument, for the message.
         value: the argument.
-        hint: the type, as annotations write it.
+        hint: the type, as annotations write it, such as `int | None`, or `Annotated` with bounds.
 
     Raises:
         InputError: the value does not fit; the message names the argument, its value and the allowed values.
@@ -184,6 +184,8 @@ def _plain_kinds() -> dict[Any, _Kind]:
 def _kind(hint: Any) -> _Kind:
     """Return the noun and the test of the values that a type allows, composed from those of its parts.
 
+    The noun names allowed values in messages, such as "a whole number", and the test is True for allowed values.
+
     Args:
         hint: type as annotations write it, such as a union, a literal, or a list of another type.
     """
@@ -194,6 +196,7 @@ def _kind(hint: Any) -> _Kind:
         return _Kind(" or ".join(nouns), lambda value: any(part.fits(value) for part in parts))
     if kind is Annotated:
         noun, fits = _kind(inner[0])
+        # `Between` declares the bounds of a number, or the allowed texts.
         bounds = next((constraint for constraint in inner if isinstance(constraint, Between)), None)
         if bounds is None:
             return _Kind(noun, fits)
@@ -213,7 +216,7 @@ def _kind(hint: Any) -> _Kind:
         entry_kind, count = _kind(inner[0]), f"{len(kinds_by_position)} values" if kinds_by_position else "a list"
 
         def fit(value: Any) -> bool:
-            """Return True for a list whose entries fit the kinds at their places, or the kind of every entry."""
+            """Return True for a list that fits `kinds_by_position`, or whose every entry fits `entry_kind`."""
             entries = kinds_by_position or [entry_kind] * (len(value) if is_list(value) else 0)
             return is_list(value) and len(value) == len(entries) and all(map(lambda k, v: k.fits(v), entries, value))
 

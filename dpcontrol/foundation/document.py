@@ -58,12 +58,13 @@ def document_of(result: Any, keys: str = "*") -> dict[str, Any]:
 
     Args:
         result: a dataclass, mapping or other object.
-        keys: entries as in `KEYS`, separated by spaces (default: all fields).
+        keys: entries as at the head of this module, separated by spaces (default: all fields).
     """
     document: dict[str, Any] = {}
     for entry in keys.split():
         name, _, columns = entry.partition(":")
         key, _, path = name.replace("?", "").partition("=")
+        # All fields need no value, and the object's own document ("**") is made of the object itself.
         value = result if key == "**" else None if key == "*" else _part(result, path or key.lstrip("*"))
         if value is None and "?" in name:
             continue
@@ -82,7 +83,8 @@ def _part(value: Any, path: str) -> Any:
     """Return the value at the end of a path below an object, as an entry of `KEYS` names it.
 
     A name of the path is an attribute, the key of a mapping, or the place in a sequence. Another name at a sequence
-    gives the list of this attribute of its items. Methods are called without arguments.
+    gives the list of this attribute of its items. Methods are called without arguments. If a value on the way is None,
+    the result is None.
 
     Args:
         value: object at which the path begins.
@@ -91,6 +93,7 @@ def _part(value: Any, path: str) -> Any:
     for name in path.lstrip("#").split("."):
         if value is None:
             return None
+        # A named tuple is an object with attributes, not a sequence.
         if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
             value = value[int(name)] if name.isdigit() else [getattr(item, name) for item in value]
         else:
@@ -104,7 +107,10 @@ def _rows(value: Any, columns: str) -> Any:
 
     Args:
         value: object, list or mapping.
-        columns: entries as in `KEYS`, separated by commas.
+        columns: entries as at the head of this module, separated by commas.
+
+    Returns:
+        A dictionary of the entries, or a list or mapping of such dictionaries.
     """
     if isinstance(value, list | tuple):
         return [_row(item, columns) for item in value]
@@ -114,7 +120,10 @@ def _rows(value: Any, columns: str) -> Any:
 
 
 def _row(value: Any, columns: str) -> dict[str, Any]:
-    """Return selected entries of one object; a plain tuple gets the names in order."""
+    """Return selected entries of one object, a dictionary by name; a plain tuple gets the names in order.
+
+    `columns` are entries as at the head of this module, separated by commas.
+    """
     if type(value) is tuple:
         return dict(zip(columns.split(","), value, strict=True))
     return document_of(value, columns.replace(",", " "))

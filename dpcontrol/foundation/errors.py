@@ -178,7 +178,7 @@ def printable(text: str, *, json: bool = False) -> str:
     """
 
     def written_out(match: re.Match[str]) -> str:
-        """Return the escape sequence of one character."""
+        """Return the escape sequence of the character that matched, in the form of JSON if `json` is True."""
         code = ord(match[0])
         if json:
             return f"\\u{code:04x}"

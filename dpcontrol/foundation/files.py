@@ -176,6 +176,8 @@ def chosen_name(
 ) -> Iterator[Path | None]:
     """Yield the file or folder to write, which no other command writes until the end of the block.
 
+    None is yielded if no file is requested.
+
     Args:
         requested: its name, True for the first free name, or None for no file.
         first: the first name that is tried (see `free_name`).
@@ -186,7 +188,7 @@ def chosen_name(
     """
 
     def checked(file: Path) -> Path:
-        """Return a name that has passed the check."""
+        """Return `file` after `check` has accepted its name; the errors of `check` are passed on."""
         check(file)
         return file
 
@@ -409,15 +411,15 @@ def archive_format(path: Path | str) -> str:
 def archive(
     path: Path | IO[bytes], *, what: str, make: str, again: str, format: str, versions: tuple[int, ...]
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield the header and the arrays of an archive, for a block that makes an object of them.
+    """Yield the header, as JSON values by key, and the arrays, by name, of an archive, to make an object of them.
 
     Errors in the block mean damage, because the block reads what the archive should contain.
 
     Args:
         path: path, or an open binary file.
         what: kind of archive with its article, such as "a plan", for messages.
-        make: sentence on how to make one, for the message on a missing file.
-        again: sentence on how to replace a damaged one.
+        make: advice on how to make one, for the message on a missing file.
+        again: advice on how to replace a damaged one.
         format: required format.
         versions: supported versions.
 

@@ -58,12 +58,16 @@ def in_processes(
 def _results(function: Callable[[Piece], Done], pieces: Sequence[Piece], workers: int) -> Iterator[tuple[Piece, Done]]:
     """Yield each piece with its result, in the order in which results arrive.
 
-    If the caller stops early, or an error occurs, the processes that this call started are ended.
+    If the caller stops early, or an error occurs, the processes that were started since the beginning of this call are
+    ended.
 
     Args:
         function: function of a module, which computes the result of a piece.
         pieces: arguments of the function.
-        workers: number of processes; with 1 everything runs in this one.
+        workers: number of processes; with 1, or with one piece, everything runs in this one.
+
+    Raises:
+        GoalMissed: a process died.
     """
     if workers == 1 or len(pieces) <= 1:
         for piece in pieces:

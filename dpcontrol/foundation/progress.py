@@ -49,7 +49,7 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
     """
 
     def report(what: str, done: float) -> None:
-        """Report the completed share of the part as a share of the whole work."""
+        """Report the completed share `done` of the part, 0 to 1, to `progress` as a share of the whole work."""
         progress(what, low + (high - low) * done)
 
     return report
@@ -68,7 +68,7 @@ def lines(label: str) -> Progress:
     start = last = time.monotonic()
 
     def report(what: str, done: float) -> None:
-        """Write a line if twenty seconds have passed since the last one."""
+        """Write a line to stderr if twenty seconds have passed since the `last` one; else the report is dropped."""
         nonlocal last
         # A full disk or a closed reader does not stop the work.
         with suppress(OSError):
@@ -83,7 +83,7 @@ def lines(label: str) -> Progress:
 
 @contextmanager
 def reporting(progress: Progress | Literal[True] | None, label: str) -> Iterator[Progress]:
-    """Yield the progress function, that of a bar if requested.
+    """Yield a progress function for the block: the given one, or one that shows a bar or writes lines.
 
     The bar is on stderr, from the first report to the end of the block. If stderr is not a terminal, a line is written
     every twenty seconds instead.
@@ -108,7 +108,7 @@ def reporting(progress: Progress | Literal[True] | None, label: str) -> Iterator
     task = bar.add_task(printable(label), total=1.0)
 
     def report(what: str, done: float) -> None:
-        """Show the task and its completed share in the bar, which appears with the first report."""
+        """Show the task `what` and its completed share `done`, 0 to 1, in the bar, which the first report starts."""
         bar.start()
         bar.update(task, completed=done, description=printable(what))
 

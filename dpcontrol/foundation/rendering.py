@@ -40,6 +40,8 @@ def render(result: object, axes: Axes | None = None) -> Figure:
     table = import_module(_TABLE)
     if axes is not None and getattr(axes, "name", "") != "rectilinear":
         raise InputError(f"axes = {shortened(axes)}: pictures need plane rectangular axes, as plt.subplots makes them")
+    # The table has names of classes: those with a page (RENDERERS), those with one panel (PANELS), and those that are
+    # drawn by one of their attributes (PARTS). The nearest base class in it counts.
     for kind in type(result).__mro__:
         name = f"{kind.__module__}.{kind.__qualname__}"
         if name in table.PARTS:
@@ -73,7 +75,7 @@ def live_view(start: Any) -> AbstractContextManager[Any]:
     """Return a sink for a closed loop that shows the run in the Rerun viewer while it lasts.
 
     Args:
-        start: log of the run before its first row.
+        start: `RunLog` of the run before its first row.
 
     Raises:
         InputError: there is no viewer, or no display to open it on.

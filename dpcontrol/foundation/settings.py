@@ -207,7 +207,7 @@ class Leaf:
         return self.annotation.__metadata__[-1]  # type: ignore[no-any-return]
 
     def read(self, value: Any, *, key: str = "", strict: bool = True) -> Any:
-        """Return a value as the setting's type takes it: tuples for lists, and floats for whole numbers.
+        """Return a value as the setting's type has it, such as a tuple for a list, or a float for a whole number.
 
         Args:
             value: value from a file or from Python.
@@ -217,6 +217,7 @@ class Leaf:
         Raises:
             InputError: it is of another type, or out of bounds.
         """
+        # MISSING stands for a value that only pydantic can read, or reject with a reason.
         key, result = key or self.name, _exactly(_plain(value), self.hint)
         if result is MISSING:
             from pydantic import ValidationError
@@ -234,7 +235,8 @@ class Leaf:
         Args:
             key: name of the value in the message.
             value: the rejected value.
-            errors: pydantic's errors, of which a union has one for each of its types.
+            errors: pydantic's errors, of which a union has one for each of its types; `loc` is the place within the
+                value, `type` the kind of the error, and `input` the rejected part.
         """
         # An error in an entry of a list has its index in its location; then the entry is shown, not the whole list.
         entry_errors = [
@@ -255,6 +257,7 @@ class Leaf:
         bounds, schema = self.bounds, adapter(self.annotation).json_schema()
         limits = {"minimum": bounds.least, "exclusiveMinimum": bounds.above, "maximum": bounds.most}
         limits = {name: float(value) for name, value in limits.items() if math.isfinite(value)}
+        # JSON has no infinity, so a schema cannot allow it beyond a maximum.
         if bounds.infinite:
             limits.pop("maximum", None)
         for subschema in _nested(schema):
@@ -296,7 +299,7 @@ def frozen(value: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as the strict checks of pydantic accept it.
+    """Return a value from a file or from Python as the strict checks of pydantic accept it.
 
     Lists become tuples, arrays and numbers of NumPy those of Python, and floats without a fraction whole numbers.
     """
@@ -329,7 +332,7 @@ def _exactly(value: Any, hint: Any) -> Any:
 
 @cache
 def adapter(kind: Any) -> Any:
-    """Return pydantic's adapter of a type.
+    """Return pydantic's adapter of a type, which checks values, reads JSON and makes the type's JSON Schema.
 
     The import within the function takes a tenth of a second.
 
@@ -343,7 +346,7 @@ def adapter(kind: Any) -> Any:
 
 @cache
 def leaves_of(kind: type) -> dict[str, Leaf]:
-    """Return the declared settings of a dataclass by name.
+    """Return the declared settings of a dataclass by name: the fields whose annotation has a `Setting`.
 
     A field with another default in a subclass keeps its declaration.
 
@@ -382,6 +385,7 @@ class Settings:
             InputError: every mistake with table, key, value and allowed range.
         """
         mistakes = Mistakes()
+        # Only values that differ from their defaults need a check.
         for name, leaf in leaves_of(type(self)).items():
             value = getattr(self, name)
             if value is not leaf.default:
@@ -402,6 +406,7 @@ class Settings:
         Raises:
             InputError: an unknown name, or values out of bounds.
         """
+        # Values of fields of these settings, and values of settings that are fields, by the name of the field.
         new_values, of_parts = dict[str, Any](), dict[str, dict[str, Any]]()
         for path, value in values.items():
             name_of_part, _, path_within = path.partition(".")

@@ -39,11 +39,11 @@ class Brief:
 
 
 def _in_json(document: Callable[..., Any]) -> Callable[..., Any]:
-    """Wrap a method `document`, so that the values that it returns are those of JSON."""
+    """Return a method `document` that calls the given one and converts its values to those of JSON."""
 
     @wraps(document)
     def call(self: Any, *arguments: Any) -> Any:
-        """Return the document of an object as JSON values."""
+        """Return the result of the method `document` of an object, with values of Python replaced by those of JSON."""
         return plain(document(self, *arguments))
 
     return call
@@ -153,9 +153,9 @@ def data_frame(rows: Any, columns: Sequence[str] | None = None, *, times: Any = 
     """Return a pandas table.
 
     Args:
-        rows: rows, or columns by name.
+        rows: array (K, N) of K rows, a list of rows, or columns (K,) by name.
         columns: names of the columns, if the rows have none.
-        times: index `time`, s; by default the rows are numbered.
+        times: index `time` (K,), s; by default the rows are numbered.
 
     Raises:
         PartMissing: pandas is not installed.

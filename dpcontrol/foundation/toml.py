@@ -69,6 +69,9 @@ def with_values(text: str, table: str, values: Mapping[str, Any], *, number: int
         table: name of the table, or "" for the top level.
         values: texts, numbers or lists of these, by key.
         number: number of a table in a list, from 1, or 0 for a table outside a list.
+
+    Returns:
+        The new text; other parts of the text are unchanged.
     """
     document = tomlkit.parse(text)
     if table and table not in document:
@@ -161,9 +164,9 @@ class Table:
         """Return the object that the table makes of the values of a file.
 
         Args:
-            values: values by key, where lists become tuples.
+            values: values by key as TOML gives them; in the values that `make` receives, lists are tuples.
             place: place of the table.
-            context: argument of the tables' functions.
+            context: any object that the functions `make` of this table and of those within need; None if none does.
 
         Raises:
             InputError: every unknown or missing key, and every value of another type or out of bounds.
@@ -222,7 +225,13 @@ class Choice:
     required: ClassVar[bool] = False
 
     def read(self, values: Any, place: Place, context: Any = None) -> Any:
-        """Return the object that the chosen table makes of the values of a file; see `Table.read`."""
+        """Return the object that the chosen table makes of `values`, which are values by key as TOML gives them.
+
+        `place` and `context` are passed on, see `Table.read`.
+
+        Raises:
+            InputError: no table has the chosen name, or a mistake in the chosen one.
+        """
         with place:
             kind = self.choose(values) if isinstance(values, Mapping) else next(iter(self.tables))
             check_choice(self.key, self.tables, kind)
@@ -237,7 +246,13 @@ class Tables:
     required: bool = False
 
     def read(self, values: Any, place: Place, context: Any = None) -> tuple[Any, ...]:
-        """Return the object that each table makes of its values; see `Table.read`."""
+        """Return the object that each table makes of its values; `values` is the list of tables as TOML gives it.
+
+        `place` and `context` are passed on, see `Table.read`.
+
+        Raises:
+            InputError: there is no table, or one entry is no table; or every mistake in the tables.
+        """
         if not (isinstance(values, list) and values and all(isinstance(table, dict) for table in values)):
             sentence = f"{place.table} = {shortened(values)}: must be tables, each under [[{place.table}]]"
             raise InputError(sentence, where=f"{place.file}: ", key=place.table)

@@ -82,7 +82,8 @@ class InUnits:
 def unusual(key: str, values: Sequence[float], usual: tuple[float, float], unit: str) -> Iterator[str]:
     """Yield a sentence on each number that is unusual on ordinary benches.
 
-    If another unit would make it usual, the sentence has that unit. Zero is always usual.
+    If another unit would make it usual, the sentence has that unit. Zero is always usual. A number a thousand times
+    larger than usual, or a thousand million times smaller, is impossible.
 
     Args:
         key: key of the values, for the message.

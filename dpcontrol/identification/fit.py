@@ -98,6 +98,7 @@ class Swings:
         """
         count, n, m = len(starts), self.states, self.parameters
         rows = n + n * (n + m)
+        # All swings have the same number of substeps, that of the longest period.
         substeps = int(np.ceil(period.max() / LONGEST_STEP - 1e-9))
         inputs, following = np.empty((rows + m + 3, count)), np.empty((rows, count))
         # Rows: state, sensitivities column by column, ratios, step, then acceleration and velocity of the cart.
@@ -114,6 +115,7 @@ class Swings:
             for _ in range(substeps):
                 step(inputs, following)
                 inputs[:rows] = following
+                # Under a constant acceleration the cart's velocity grows from substep to substep.
                 inputs[rows + m + 2] += inputs[rows + m] * inputs[rows + m + 1]
             history[k] = following
         states = history[:, :n].transpose(2, 0, 1)
@@ -121,7 +123,10 @@ class Swings:
 
 
 def _nominal(arms: ArmChainParameters) -> ArmChainParameters:
-    """Return arms that represent all of the same count, gravity, friction laws and smoothing, which share one step."""
+    """Return arms with the count, gravity, friction laws and smoothing of `arms`, and all other parameters 1.
+
+    Arms that differ only in the latter have the same compiled step, whose parameters are inputs.
+    """
     names = ("mass", "centre_of_mass", "length", "inertia", "viscous", *arms.friction)
     return replace(arms, **dict.fromkeys(names, (1.0,) * arms.count))
 
@@ -140,7 +145,12 @@ def _compiled(arms: ArmChainParameters) -> Compiled:
     base = ca.vertcat(*base_from_ratios(ratios, arms))
 
     def slope(state: ca.SX, after: Any) -> ca.SX:
-        """Return the rate of the arms' state, `after` s into the step, as the cart's velocity grows with u."""
+        """Return the rate of the arms' state, angles and angle rates, at a time within the Runge-Kutta step.
+
+        `after` is the time since the beginning of the step, s, a number or a symbolic fraction of h. By then the cart's
+        `velocity` at the beginning has changed by its acceleration u times that time. `base` are the base parameters
+        that belong to the ratios.
+        """
         return rate(ca.vertcat(state, 0, velocity + after * u), u, base)[:n]
 
     following = runge_kutta_4(slope, start, h)
@@ -247,10 +257,11 @@ class Windows:
 
         Args:
             starts: initial states (W, 2n) of the windows.
-            values: values (V,) of all parameters, then of the zeros, rad.
+            values: values (V,): the ratios (m,), then the zeros of each group of swings (groups · n), rad.
             unknowns: indices (f,) of the free ones.
         """
         model = self.model
+        # Here n is the number of states of the arms, twice the number of arms.
         n, m, arms = model.states, model.parameters, model.arms.count
         u, v = self.drive
         states, slopes = model.flown(
@@ -275,14 +286,17 @@ class Windows:
                 end = slopes[w, k]
                 start_slope, offset = end[:, :n] @ start_slope, end[:, :n] @ offset
                 start_slope[:, n:][:, is_ratio] += end[:, n + unknowns[is_ratio]]
+                # The next window should start at the end of this one.
                 if w != windows[-1]:
                     jump = states[w, k] - starts[w + 1]
                     offset = offset + jump
                     linearised.gaps += float(np.maximum(np.abs(jump) - _CLOSED, 0.0).sum())
                     linearised.gap = max(linearised.gap, float(np.abs(jump).max()))
+            # A zero adds to each reading of its arm in all swings of its group.
             for column, index in enumerate(unknowns):
                 if index >= m and (index - m) // arms == swing.group:
                     stretch.slope[:, (index - m) % arms, n + column] = 1.0
+            # A missing reading has no residual and depends on nothing.
             missing = ~np.isfinite(swing.angles)
             for array in stretch[:3]:
                 array[missing] = 0.0
@@ -319,7 +333,7 @@ def fit_swings(
         free: free parameters (m,).
         free_zeros: True to fit the zeros.
         settings: windows, robust loss and convergence.
-        near: first guess (W, 2n) of the windows' starts, default the measured angles.
+        near: first guess (W, 2n) of the windows' starts, default the measured angles without the zeros.
     """
     cut_swings = Windows(swings, model, settings.window)
     m, arms = model.parameters, model.arms.count
@@ -373,7 +387,9 @@ def fit_starts(
 
 
 _LANES = 64
+"""Number of experiments that are integrated together."""
 _CHAOTIC = 20.0
+"""Growth of an error of the start from which an experiment is unreliable."""
 
 
 @dataclass(frozen=True)
@@ -478,6 +494,13 @@ def design_experiments(
 ) -> Design:
     """Compare experiments by their information: free swings over a grid of angles, and sines of the cart.
 
+    An experiment is usable if it amplifies an error of its start less than `_CHAOTIC`-fold, keeps the cart on its
+    track, and its information on the ratios that are not zero is not singular.
+
+    An experiment is planned as kind, release angles (n,), rad, and amplitude, m/s², and frequency, Hz, of the cart's
+    acceleration. This is held from sample to sample at its value in the middle. Since the cart starts from rest, it
+    moves to one side only, by twice the amplitude of its sine.
+
     Args:
         arms: model of the arms.
         settings: experiments to compare.
@@ -547,6 +570,9 @@ def design_experiments(
 
 def _information(slopes: Array, values: Array, used: NDArray[np.intp], counts: int) -> tuple[Array, float]:
     """Return the information (f, f) on the logarithms of the ratios in use, and the growth of errors of the start.
+
+    The information is I at the head of this module. The growth is the greatest size of the angles' derivatives by the
+    release angles. If the derivatives overflow, the information is zero and the growth infinite.
 
     Args:
         slopes: derivatives (K, n, 2n+m) of the angles by start and ratios.

@@ -45,6 +45,7 @@ LONGEST, LONGEST_DRIVEN = 4.0, 1.0
 Near a saddle, errors grow e⁸-fold in a second. Over four seconds, rounding hides the effect of the start.
 """
 _STILL = 1e-3
+"""Range of an angle below which an arm counts as at rest, rad."""
 
 
 @dataclass(frozen=True)
@@ -77,13 +78,16 @@ def cut_into_swings(
 ) -> tuple[list[Swing], list[Segment]]:
     """Return the recordings' segments as swings for the fit, and their descriptions; long ones are cut equally.
 
+    The swings of a recording form a group, since they share the zeros of its encoders. In the descriptions, `used` is
+    still True and `rms` NaN for all segments, until they are fitted.
+
     Args:
         recordings: the recordings.
         arms: number of arms of the model.
-        longest: longest duration of a piece, s; None for the default.
+        longest: longest duration of a piece, s; None for `LONGEST` with the cart clamped, else `LONGEST_DRIVEN`.
 
     Raises:
-        InputError: a recording has another number of arms, or hardly moves.
+        InputError: a recording has another number of arms, a piece has too few samples, or no recording moves.
     """
     swings: list[Swing] = []
     segments: list[Segment] = []
@@ -123,8 +127,8 @@ ALIKE = 0.95
 def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return covariance (f, f) and standard errors (f,) of the unknowns, some of which the fit left at a bound.
 
-    Unknowns at a bound, `bound` (f,), count as fixed for the others and have no variance. Their own standard errors
-    ignore the bound.
+    Unknowns at a bound, `bound` (f,), count as fixed for the others and have no variance in the covariance. Their own
+    standard errors are those of a fit without any bound.
 
     Args:
         fit: the fit.
@@ -159,6 +163,7 @@ def undetermined_of(
         correlation = correlation_of(covariance)
     for i, j in np.argwhere(np.tril(np.abs(correlation) >= ALIKE, -1)):
         coefficient = correlation[i, j]
+        # Ratio of the standard deviations of sum and difference, each number divided by its standard error.
         factor = np.sqrt((1 + abs(coefficient)) / max(1 - abs(coefficient), 1e-12))
         kind = "sum" if coefficient < 0 else "difference"
         sentences.append(
@@ -322,7 +327,10 @@ def identify(
     settings: IdentificationSettings | None = None,
     progress: Progress = no_progress,
 ) -> Identification:
-    """Identify arms from recordings, starting from a model.
+    """Identify ratios, friction and encoder zeros of arms from recordings, starting from a model.
+
+    The choice among the candidates, sets of friction laws with or without zeros, is described at the head of this
+    module.
 
     Args:
         recordings: recordings of the same arms.
@@ -331,7 +339,7 @@ def identify(
         progress: receiver of progress reports.
 
     Raises:
-        InputError: the recordings show another pendulum, or are too short or too few.
+        InputError: the recordings have another number of arms, hardly move, or are too short or too few.
         GoalMissed: no candidate could be fitted.
     """
     settings = settings or IdentificationSettings()
@@ -359,6 +367,7 @@ def identify(
     is_friction = np.arange(len(values)) >= inertial_count(arms.count)
     is_friction[len(best.fit.parameters) :] = False
     covariance, errors = covariance_at_bounds(best.fit, is_friction & (values <= 0))
+    # The segments' residuals (K, n), rad, in the order of `segments`.
     used_residuals, held_out_residuals = iter(best.fit.residuals), iter(best.predicted.residuals)
     residuals = [next(used_residuals if segment else held_out_residuals) for segment in used]
     progress("done", 1.0)
@@ -395,9 +404,10 @@ def _candidates(
     settings: IdentificationSettings,
     progress: Progress,
 ) -> tuple[list[Candidate], list[str]]:
-    """Return the candidates that converged, for each choice of laws and zeros, and the reasons of the others.
+    """Return the fitted candidates, one for each choice of laws and zeros, and why others did not converge.
 
-    `fitted` are the swings to fit, `left_out` those held out, and `start` the arms of the starting model.
+    `fitted` are the swings to fit, `left_out` those held out, and `start` the arms of the starting model. The reasons
+    are sentences. `progress` receives the candidate's terms and the completed share.
 
     Raises:
         GoalMissed: no candidate converged.
@@ -409,6 +419,7 @@ def _candidates(
     for number, (laws, zeros) in enumerate(choices_of_terms):
         terms = ", ".join(["viscous", *laws, *(["zeros"] if zeros else [])])
         progress(f"fit {terms}", number / (len(choices_of_terms) + 1))
+        # With free zeros, the fit starts from the one of the same laws without zeros.
         near = candidates[-1] if candidates and candidates[-1].laws == laws else None
         candidate = _fitted(fitted, left_out, with_laws(start, laws), zeros, settings.fit, near)
         if candidate.fit.converged and candidate.predicted.converged:
@@ -447,8 +458,9 @@ def _fitted(
 ) -> Candidate:
     """Fit one candidate, the friction laws of `arms` with or without free zeros, and predict the held-out swings.
 
-    `fitted` and `left_out` are the swings. `near` is a fit of the same laws, from which this one starts, or None.
-    `zeros` is True to fit encoder zeros.
+    `fitted` are the swings to fit, and `left_out` the held-out ones, for which only the starts are fitted. `near` is a
+    fit of the same laws, whose ratios and starts are the first guess, or None for the ratios of `arms`. `zeros` is True
+    to fit encoder zeros.
     """
     model = Swings(arms)
     groups = 1 + max(s.group for s in (*fitted, *left_out))

@@ -151,6 +151,11 @@ def estimate_recording(
 ) -> RecordedEstimate:
     """Run an estimator over each segment of a recording, restarting in each, as a check of model and noise.
 
+    A measurement is the mean of M samples, called `mean_of`, at times τ about their middle, `times`, and is corrected
+    for the motion, see the head of this module. Its noise is that of a sample over the number of samples with
+    independent rounding. The estimator steps from middle to middle under the mean acceleration of the cart between
+    both. The equations of arms and cart need a cart position, which has no effect and is 0.
+
     Args:
         recording: angles in segments.
         arms: the model.
@@ -173,7 +178,7 @@ def estimate_recording(
     estimator = make_estimator(filters, model, noise=noise)
 
     def rate_of(state: Array, drive: Array) -> Array:
-        """Return the derivative of the arms' state (2n,) for the cart's velocity and acceleration `drive`."""
+        """Return the derivative (2n,) of the arms' state (2n,); `drive` is the cart's velocity and acceleration."""
         full = np.concatenate([state, [0.0, drive[0]]])
         return np.asarray(rate(full, drive[1], arms.base())).ravel()[: 2 * n]
 
@@ -223,10 +228,13 @@ def _means_of(
 
     The segment has the samples `first` to `end` (not included) of the recording.
 
+    Raises:
+        InputError: the segment is shorter than a mean.
+
     Returns:
-        Four arrays. The first has the angles (B, n), rad. The second has the cart's velocity, m/s, and its mean
-        acceleration, m/s² (B, 2). The third has its mean acceleration between neighbouring middles (B - 1,), m/s². The
-        last has its position, m, and velocity, m/s, at the first middle (2,).
+        Four arrays for B means. The first has the angles (B, n), rad. The second has the cart's velocity, m/s, and its
+        mean acceleration, m/s² (B, 2). The third has its mean acceleration between neighbouring middles (B - 1,), m/s².
+        The last has its position, m, and velocity, m/s, at the first middle (2,).
     """
     blocks = (end - first) // mean_of
     if not blocks:
@@ -243,7 +251,8 @@ def _means_of(
 def _nearby(state: Array, acceleration: Array, times: Array) -> Array:
     """Return the states (M, 2n) at `times` (M,), s from the time of `state` (2n,), at a constant `acceleration` (n,).
 
-    The times are a few ms, within a mean of samples.
+    It gives the states at all samples of a mean from the state at its middle. `state` has n angles, rad, then their
+    rates, rad/s; the acceleration is in rad/s². The times are a few ms.
     """
     n = len(acceleration)
     angles = state[:n] + np.outer(times, state[n:]) + np.outer(times**2 / 2, acceleration)
@@ -253,8 +262,9 @@ def _nearby(state: Array, acceleration: Array, times: Array) -> Array:
 def _between_means(acceleration: Array, mean_of: int, blocks: int) -> Array:
     """Return the mean accelerations (B - 1,), m/s², between the middles of successive means of `mean_of` samples.
 
-    `acceleration` (K,) m/s² are those of the samples, and `blocks` is the number B of means.
+    `acceleration` (K,), m/s², is the cart's at each sample, held until the next. `blocks` is the number B of means.
     """
+    # Velocity gained since the first sample, in units of m/s² times samples.
     velocity_gain = np.concatenate([[0.0], np.cumsum(acceleration)])
     # A middle between two samples is half a sample later.
     middles = mean_of * np.arange(blocks) + (mean_of - 1) / 2
@@ -264,6 +274,7 @@ def _between_means(acceleration: Array, mean_of: int, blocks: int) -> Array:
 _SETTLED = 0.1
 """Initial time of a segment that is excluded from statistics while the estimator finds the rates, s."""
 _STARTS = 2000
+"""Approximate number of predictions in the error of predictions some samples ahead."""
 _MEAN_OVER, _SPAN = (0.015, 0.0), (5.0, 0.5)
 """Default duration of a mean with the cart clamped and moving, s."""
 _FLOOR = 0.015
@@ -422,6 +433,9 @@ def replay_recording(
 ) -> Replay:
     """Compare a recording with a model's prediction and an estimator.
 
+    The model predicts true angles. The result has angles as the encoders would show them, with the zeros added.
+    Statistics exclude the first `_SETTLED` seconds of each segment, unless no samples would be left.
+
     Args:
         recording: angles in segments.
         arms: the model, with the same number of arms.
@@ -431,7 +445,8 @@ def replay_recording(
         progress: receiver of progress reports.
 
     Raises:
-        InputError: the model has another number of arms, or the cart moved in only some segments.
+        InputError: the model has another number of arms, the zeros are not one for each arm, the cart moved in only
+            some segments, or a segment is shorter than a mean of samples.
         GoalMissed: the estimator's covariance broke down.
     """
     settings = settings or ReplaySettings()
@@ -488,7 +503,9 @@ def replay_recording(
 
 
 def _carts(recording: Recording) -> tuple[CartMotion, ...]:
-    """Return the cart motion of each segment, which is the input of predictions and estimator; empty if clamped.
+    """Return the cart motion of each segment, which is the input of predictions and estimator.
+
+    The tuple is empty if the cart was clamped in all segments.
 
     Raises:
         InputError: the cart moved in only some segments.
@@ -541,11 +558,13 @@ def _ahead(
     velocity: Array,
     acceleration: Array,
 ) -> Array:
-    """Return the rms error (n,) rad of angles predicted `samples` ahead from the estimate, NaN if no interval fits.
+    """Return the rms error (n,) of angles predicted `samples` ahead from the estimate, rad.
 
-    `settled` (K,) is True for samples after the estimator's beginning. `velocity` and `acceleration` (K,) are the
-    cart's, m/s and m/s². `model` integrates the arms, and `estimated` are the starts at the recording's samples.
+    A prediction starts from the state of `estimated` at the end of a mean, and must end in the same segment. If there
+    is no such start, all errors are NaN. `settled` (K,) is True for samples after the estimator's beginning. `velocity`
+    and `acceleration` (K,) are the cart's, m/s and m/s². `model` integrates the arms.
     """
+    # True for samples whose segment also has the sample to predict.
     has_target = np.zeros(len(settled), dtype=bool)
     for first, end in recording.segments:
         has_target[first : max(first, end - samples)] = True
@@ -569,7 +588,7 @@ def _ahead(
 
 
 def write_replay(result: Replay, path: Path | str, *, model: str, model_text: str, force: bool = False) -> Path:
-    """Write measured angles, the estimate, and the prediction as reference.
+    """Write a replay as a log: measured angles, the estimate, and the prediction as reference.
 
     If the cart moved, its motion is the input of both estimate and prediction.
 
@@ -596,6 +615,7 @@ def write_replay(result: Replay, path: Path | str, *, model: str, model_text: st
     control = {"nis": result.nis, "applied": acceleration}
     if recording.command is not None:
         control["command"] = recording.command
+    # An event for each predicted stretch of samples, from the first one to the end, which is not included.
     pieces = [
         (
             first,

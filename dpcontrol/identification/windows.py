@@ -39,8 +39,11 @@ from dpcontrol.foundation.shown import Brief
 optimize = Later("scipy.optimize")
 
 _GAP_WEIGHT = 1e3
+"""Weight of the gaps between windows in the merit of a step."""
 _STILL_ADAPTING = 6
+"""Number of steps after which the threshold of the robust loss no longer changes."""
 _TRIALS = 16
+"""Number of shares of a step that are tried, each half of the one before."""
 STEP = 1e-4
 """Difference of scaled parameters for derivatives."""
 _BLOCK_TIMES = 4.0
@@ -109,8 +112,9 @@ class Linearised:
         """Return the merit function, robust loss plus gaps, by which a step is accepted.
 
         Args:
-            threshold: size of a residual from which the loss is linear.
+            threshold: size of a residual from which the loss is linear; infinite for least squares.
         """
+        # Residuals and gaps are measured by the threshold, so that the weight of the gaps has no unit.
         scale = threshold if np.isfinite(threshold) else 1e-3
         clipped = np.minimum(sizes := self.sizes, threshold)
         return float((clipped * (sizes - clipped / 2)).sum()) / scale**2 + _GAP_WEIGHT * self.gaps / scale
@@ -152,10 +156,11 @@ class DifferencedModel:
         """Return residuals and derivatives for a Gauss-Newton step, see `WindowModel`.
 
         Args:
-            starts: none.
+            starts: not used, since the model has no starts.
             values: values (V,) of all parameters, in units of which a step of 1e-4 gives the derivative.
             unknowns: indices (f,) of the free ones.
         """
+        # Residuals are measured minus predicted values, so they decrease where the prediction increases.
         residual, *ahead = self.residuals(np.vstack([values, values + STEP * np.eye(len(values))[unknowns]]))
         slope = np.stack([(residual - stepped) / STEP for stepped in ahead], axis=-1)
         stretch = LinearisedStretch(residual, residual, slope, [np.empty((0, len(unknowns)))], [np.empty(0)])
@@ -204,12 +209,13 @@ class WindowedFit(Brief):
 def clustered_covariance(information: NDArray[Any], scores: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Return the covariance (f, f) of estimates whose residuals are correlated, infinite where they are undetermined.
 
-    It is the formula at the head of this module.
+    It is Cov at the head of this module, where the information is H and the scores are summed over blocks to g. There
+    are f unknowns, and each stretch of measurements has K samples of n quantities.
 
     Args:
-        information: information matrix (f, f).
-        scores: gradient (K, f) of each sample for each stretch.
-        residuals: residuals (K, n) of each stretch.
+        information: information matrix (f, f) of real numbers.
+        scores: gradient (K, f) of each sample's loss by the f unknowns, for each stretch.
+        residuals: residuals (K, n) of each stretch, which set the length of the blocks.
     """
     f = len(information)
     block = max(int(_BLOCK_TIMES * correlation_time(residuals)), _LEAST_BLOCK)
@@ -221,11 +227,13 @@ def clustered_covariance(information: NDArray[Any], scores: Sequence[Array], res
     ]
     blocks = np.concatenate([np.add.reduceat(s, edge[:-1], axis=0) for s, edge in zip(scores, edges, strict=True)])
     score_covariance = blocks.T @ blocks * len(blocks) / max(len(blocks) - f, 1)
+    # With a unit diagonal, the eigenvalues do not depend on the units of the unknowns.
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     eigenvalues, axes = np.linalg.eigh(information * np.outer(scale, scale))
     determined = eigenvalues > _UNSEEN * eigenvalues[-1]
     inverse = (axes[:, determined] / eigenvalues[determined]) @ axes[:, determined].T * np.outer(scale, scale)
     covariance = inverse @ score_covariance @ inverse
+    # Every unknown that takes part in an undetermined direction is itself undetermined.
     for direction in (axes[:, ~determined] * scale[:, None]).T:
         affected = np.abs(direction) > 1e-6 * np.abs(direction).max()
         covariance[affected, affected] = np.inf
@@ -271,6 +279,8 @@ def fit_windows(
 ) -> WindowedFit:
     """Fit the starts of windows and the free parameters by bounded Gauss-Newton steps.
 
+    There are V parameters, f of which are free, and W windows, each of which has a start of s numbers.
+
     Args:
         model: model of the measurements.
         values: first guess or fixed values (V,) of all parameters.
@@ -278,6 +288,9 @@ def fit_windows(
         bounds: least and largest values (V,).
         settings: robust loss and convergence.
         starts: first guess (W, s) of the starts; None for a model without starts.
+
+    Returns:
+        The last iterate, also if it did not converge; its status then gives the reason and a remedy.
     """
     starts = np.empty((1, 0)) if starts is None else starts
     iterate = _Iterate(starts, values, model.linearised(starts, values, unknowns))
@@ -291,8 +304,10 @@ def fit_windows(
         if not np.isfinite(normal.scaled).all():
             status = "errors grow too much along a swing to determine its start; cut the swings shorter"
             break
+        # The share is 1 for a whole step, and less for a shortened one.
         next_iterate, share = _improved(iterate, model, unknowns, bounds, normal, threshold)
         if next_iterate is None:
+            # At the minimum no step reduces the misfit either.
             converged = iterate.linearised.gap < 1e-6
             status = "" if converged else "no step reduced the misfit; check units, signs and the starting model"
             break
@@ -335,9 +350,10 @@ def _improved(
 ) -> tuple[_Iterate | None, float]:
     """Return the iterate after the longest step that reduces the misfit, None if no step does, and the step's share.
 
-    The share 1 is tried first, then a half, a quarter and so on. `now` is the present iterate, `unknowns` are the
-    indices (f,) of the free parameters, and `bounds` those of all parameters (V,). `normal` are the normal equations,
-    and `threshold` is that of the robust loss.
+    The share 1 is tried first, then a half, a quarter and so on, `_TRIALS` in total. `now` is the present iterate, and
+    `unknowns` are the indices (f,) of the free parameters. `bounds` are the least and largest values (V,) of all
+    parameters. `normal` are the normal equations at `now`. `threshold` is the size of a residual from which the robust
+    loss is linear.
     """
     lower, upper = bounds
     share = 1.0
@@ -392,8 +408,9 @@ class _Normal:
 def _normal(now: Linearised, threshold: float) -> _Normal:
     """Return the normal equations of a linearisation, with residuals beyond the threshold weighted down (Huber).
 
-    With the blocks A of the starts, C of the unknowns and B between both, each stretch adds C - Bᵀ A⁻¹ B. `now` is the
-    linearisation.
+    Each stretch has its own block JᵀWJ, where J are the derivatives of its predictions and W the weights. With the
+    parts A of its first start, C of the f unknowns and B between both, the stretch adds C - Bᵀ A⁻¹ B to the matrix
+    (f, f). `now` is the linearisation, and residuals larger than `threshold` are weighted down.
     """
     n = len(now.stretches[0].offsets[0])
     f = now.stretches[0].slope.shape[2] - n
@@ -415,8 +432,9 @@ def _normal(now: Linearised, threshold: float) -> _Normal:
 def _step(normal: _Normal, values: Array, least: Array, most: Array, share: float) -> tuple[Array, list[Array]]:
     """Return the bounded change of the unknowns (f,), and the change (s,) of each stretch's start.
 
-    `values`, `least` and `most` (f,) are the unknowns and their bounds. A share of the step below 1 is that of
-    Levenberg and Marquardt, who shorten it most where the data tell least. `normal` are the normal equations.
+    `values`, `least` and `most` (f,) are the unknowns and their bounds. `normal` are the normal equations. The share is
+    1 for the whole Gauss-Newton step. A smaller share gives the step of Levenberg and Marquardt, which is shortened
+    most in the directions that the data determine least.
     """
     f = len(values)
     step = np.zeros(f)
@@ -428,6 +446,7 @@ def _step(normal: _Normal, values: Array, least: Array, most: Array, share: floa
         eigenvalues, axes = eigenvalues[resolved], axes[:, resolved]
         factor = np.sqrt(eigenvalues)[:, None] * axes.T
         right = (axes.T @ (normal.right * scale)) / np.sqrt(eigenvalues)
+        # The solver needs bounds on both sides of zero, but an unknown may be at a bound; the clip below restores it.
         bounds = np.minimum((least - values) / scale, -1e-300), np.maximum((most - values) / scale, 1e-300)
         step = optimize.lsq_linear(factor, right, bounds=bounds, method="bvls").x * scale
         step = np.clip(values + step, least, most) - values

@@ -264,7 +264,7 @@ class McapFile:
         for topic, part in messages.items():
             number, offsets = self._tick.channels[topic], part.offsets + len(declared)
             index_offsets[number] = start + len(chunk_and_indexes)
-            # The library writes its entries one by one.
+            # The library writes its entries one by one. The record's length counts channel and length with six bytes.
             entries = np.stack([part.records["log_time"], offsets], axis=1).astype("<u8").tobytes()
             chunk_and_indexes += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), number, len(entries)) + entries
             self._counts[number] += len(offsets)

@@ -412,6 +412,7 @@ class Block:
         if len(self._records) < len(times):
             self._records = np.frombuffer(bytearray(self.template * len(times)), self.kind)
         block = self._records[: len(times)]
+        # In the order of `_COUNTERS`: number, times of logging and of publishing, and the time stamp in s and ns.
         numbers = np.arange(first, first + len(times)), times, times, *np.divmod(times, 1_000_000_000)
         values = dict(zip(_COUNTERS, numbers, strict=True))
         for topic, name, counter in self._counters:

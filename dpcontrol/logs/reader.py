@@ -63,7 +63,11 @@ class VerifiedFile:
 
     @contextmanager
     def decoding(self) -> Iterator[None]:
-        """Report errors of decoding within the block as damage of this file."""
+        """Report errors of decoding within the block as damage of this file.
+
+        Raises:
+            InputError: the block raised one of `MALFORMED`.
+        """
         try:
             yield
         except MALFORMED as error:
@@ -117,7 +121,10 @@ class _Records(StreamReader):
     """Reads all records but indexes of messages, whose entries the mcap package reads one by one."""
 
     def _read_record(self, opcode: int, length: int) -> Any:
-        """Return the record of this opcode and length from the stream, None for an index of messages."""
+        """Return the record of this opcode and length from the stream as an object of the mcap package.
+
+        An index of messages is skipped, and the result is None.
+        """
         if opcode != Opcode.MESSAGE_INDEX:
             return super()._read_record(opcode, length)
         self._stream.read(length)
@@ -186,7 +193,7 @@ def open_mcap(path: Path) -> VerifiedFile:
         for record in _Records(stream, emit_chunks=True, validate_crcs=True).records:
             file.records[type(record)].append(record)
         footer = file.records[Footer][0]
-        # Without a summary, its checksum is that of the footer, which ends 12 bytes before the file.
+        # Without a summary, its checksum is that of the footer. The last 12 bytes are the checksum and the file's end.
         summary = data[footer.summary_start or len(data) - _FOOTER : -12]
         if stream.read(1) or footer.summary_crc not in (0, zlib.crc32(summary)):
             raise ValueError("the checksum of the summary differs")
@@ -206,6 +213,7 @@ def _batches(file: VerifiedFile) -> Iterator[Batch]:
     for first in range(0, len(chunks), _TOGETHER):
         data = b"".join(map(unpacked, chunks[first : first + _TOGETHER]))
         messages = located(data, file.tick, file.tick.types)
+        # Events have different lengths, so only their heads are in the table.
         events = []
         for start, record_head in zip(*messages[layout.EVENTS], strict=True):
             end = start + layout.LENGTH_FROM + int(record_head["length"])
@@ -355,10 +363,11 @@ class RunLog(Shown):
         Raises:
             InputError: no controller ran.
         """
+        # No log has states of this name, so the call raises the error.
         return self.controls or self._state("control")
 
     def _state(self, part: str) -> Any:
-        """Return the states of a part of the log.
+        """Return the states (N, 2n+2) of a part of the log, "estimate", "reference" or "truth".
 
         Raises:
             InputError: the log does not have this part.
@@ -454,7 +463,9 @@ def _rows(batch: Batch, tick: layout.TickLayout) -> dict[str, Array]:
 
 
 def _rewritten(file: VerifiedFile) -> tuple[layout.TickLayout, dict[str, str], list[Batch]]:
-    """Return layout, types of topics and messages of a log that another program has rewritten, and tell the user.
+    """Return layout, types of topics and messages of a log that another program has rewritten.
+
+    A remark tells the user which program it was, and which topics the log lacks.
 
     Raises:
         InputError: the file holds no run, or several.
@@ -500,6 +511,7 @@ def read_log(path: Path | str) -> RunLog:
     described, result = file.values(layout.LAYOUT_RECORD), file.values(layout.RESULT_RECORD)
     ticks = result.get(layout.TICKS)
     columns = rows["control"].T if "control" in rows else ()
+    # Columns of the extras: time, then all standard deviations, then all values.
     extras, extra_count = rows.get("extras", np.empty((0, 1))), len(tick.extras)
     return RunLog(
         path=file.path,

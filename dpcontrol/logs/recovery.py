@@ -236,6 +236,9 @@ def _account(path: Path, log: Path, rescued: Salvage, measured: NDArray[Any]) ->
 def _write(rescued: Salvage, tick: layout.TickLayout, pieces: Sequence[bytes], done: Recovery) -> None:
     """Write the new log from the sound records and the chunks `pieces`, read it back, and move it to its final name.
 
+    `rescued` are the sound records, `tick` is the layout of the ticks, and `done` is the account of the recovery with
+    the paths of both files. `pieces` are message records, in the order of their ticks.
+
     Raises:
         InputError: the new log cannot be written, or does not have the recovered ticks.
     """

@@ -76,10 +76,11 @@ class Topic:
 def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
     """Return the topics whose messages are in CDR, with the times of the run.
 
-    Recorders stamp messages with their own clock, but keep the stamp in the header of a joint state.
+    Recorders stamp messages with their own clock, but keep the stamp in the header of a joint state. If both differ by
+    the same amount in all measured joint states, the times of all topics are shifted by it; otherwise they are left.
 
     Args:
-        messages: schema, channel and record of each message.
+        messages: schema, channel and record of each message, as the mcap package reads them.
     """
     topics: dict[str, Topic] = {}
     for schema, channel, message in messages:
@@ -89,6 +90,7 @@ def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
             topic.bodies.append(message.data)
     measured = topics.get(layout.MEASURED)
     if measured is not None and measured.schema == layout.JOINT_STATE[0]:
+        # Seconds and nanoseconds follow the four bytes at the beginning of every message.
         stamps = np.frombuffer(b"".join(body[4:12] for body in measured.bodies), "<u4").reshape(-1, 2)
         clock_shifts = set((np.array(measured.times) - stamps @ [10**9, 1]).tolist())
         for topic in topics.values() if len(clock_shifts) == 1 else ():
@@ -99,12 +101,15 @@ def by_topic(messages: Iterable[tuple[Any, Any, Any]]) -> dict[str, Topic]:
 def ticks_in(topics: Mapping[str, Topic], described: layout.TickLayout) -> tuple[layout.TickLayout, Batch]:
     """Return the layout of the topics that are left in a rewritten log, and their messages.
 
+    The rate of the layout is that of the ticks, which may be lower than in the original log.
+
     Args:
         topics: messages by topic.
         described: layout in the metadata.
 
     Raises:
-        ValueError: a topic that every log has is missing, or messages are not those of a log.
+        ValueError: the measured joint states are missing, messages are not those of a log, or fewer than two ticks are
+            left.
     """
     topic_of_part = {**layout.STATE_TOPICS, "control": layout.CONTROL, "rates": layout.MEASURED}
     present_parts = frozenset(part for part in described.parts if topic_of_part[part] in topics)

@@ -115,7 +115,9 @@ class Digest:
         return Digest(number, self.session, on=self._now_on, limit=self.limit)
 
     def add_event(self, event: Event) -> None:
-        """Add an event; all earlier ticks must have been added.
+        """Add an event, and find from it whether the run is now on its itinerary.
+
+        All earlier ticks must have been added. Decisions of the run and its end are stored, other events are counted.
 
         Args:
             event: the event.
@@ -144,6 +146,7 @@ class Digest:
         if not self.ticks:
             self.first = float(times[0])
         self.end, self.ticks = float(times[-1]) + period, self.ticks + len(times)
+        # The last two states are the cart's position and velocity.
         self.cart = max(self.cart, float(np.abs(state[:, -2]).max()))
         if self._now_on:
             arms = state.shape[1] // 2 - 1
@@ -270,6 +273,8 @@ class RollingLog:
     def ticks(self, time_s: Any, **parts: Any) -> None:
         """Log K periods of the loop, in one file; see `LogWriter.ticks`.
 
+        If they begin after the end of the current file, the next file is begun before.
+
         Args:
             time_s: times (K,) since the start of this session, s.
             **parts: rows (K, …) by name.
@@ -335,7 +340,10 @@ class RollingLog:
         self._writer = self._make(self.path(digest.number), {NIGHT_METADATA: json.dumps(position)}).__enter__()
 
     def _attempt(self, write: Callable[[LogWriter], None]) -> None:
-        """Write to the current file, if there is one; after an error the night continues without it."""
+        """Call `write` with the writer of the current file, if there is one.
+
+        After an error the writer is given up, and the night continues without a log until the next file.
+        """
         if self._writer is None:
             return
         try:
@@ -347,7 +355,10 @@ class RollingLog:
             self._lose(error)
 
     def _lose(self, error: Exception) -> None:
-        """Note in the digest why the current file is missing, and tell the user for how long."""
+        """Store in the digest why the current file is missing, and print a remark with the time without a log.
+
+        `error` is the reason: an InputError or OSError of the writer.
+        """
         self._digest.loss = str(error)
         duration = f"up to {self._until / 60:g} minutes at least" if self._until < math.inf else "to its end"
         remark(f"{error}; the run goes on, without a log {duration}")
@@ -356,6 +367,7 @@ class RollingLog:
         """Finish the current file and write its digest; a file without ticks is discarded."""
         digest = self._digest
         path = self.path(digest.number)
+        # A writer that is left by an exception before its first tick deletes its file.
         no_ticks = None if digest.ticks else InputError(f"{path}: no ticks to log")
         self._attempt(lambda writer: writer.__exit__(no_ticks and InputError, no_ticks, None))
         digest.close(self.extras)

@@ -77,7 +77,7 @@ def link_poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has
         has_cart: True if the pivot is on a cart.
 
     Returns:
-        (K, F, 7): x, y, z in m and the quaternion's x, y, z, w.
+        (K, F, 7) for F frames: x, y, z in m and the quaternion's x, y, z, w.
     """
     arms = len(arm_lengths)
     first_arm = 1 + has_cart
@@ -110,6 +110,7 @@ def robot_description(
         ghost: True for the reference: grey arms without track, whose names have a prefix.
     """
     prefix = REFERENCE_PREFIX if ghost else ""
+    # URDF needs limits of the cart: without given ones, the track is as long as the arms on either side.
     track_end, speed = (limits[0], limits[1]) if limits else (max(sum(arm_lengths), 0.1), 3.0)
     colours = _INK["ghost" if ghost else "robot"]
     # The ghost swings just behind the robot; in one plane the two would flicker.
@@ -133,6 +134,7 @@ def robot_description(
             for (shape, rotation), (x, y, z), part in shapes
         ]
         lines += [f'  <link name="{link}">', *drawn_shapes, "  </link>"]
+    # The outermost arm has no elbow, so the last joint is left over.
     for (parent, child), (kind, body) in zip(frames[1:], joints, strict=False):
         parent_and_child = f'<parent link="{parent}"/><child link="{child}"/>'
         lines.append(f'  <joint name="{child.removesuffix("_link")}" type="{kind}">{parent_and_child}{body}</joint>')
@@ -155,9 +157,10 @@ def _disc(radius: float) -> tuple[str, str]:
 
 
 def _visuals(arm_lengths: Sequence[float], *, reach: float, drawn: bool, has_cart: bool) -> list[list[_Visual]]:
-    """Return the shapes of each link, in the order of `link_frames`; those of the track only if it is drawn.
+    """Return the shapes of each link, in the order of `link_frames`.
 
-    `reach` is the largest distance of the cart from the centre, m.
+    The links are the base, which has the shapes of the track if `drawn` is True, the cart if there is one, and each arm
+    with its elbow, which has no shape. `reach` is the largest distance of the cart from the centre, m.
     """
     width, stop_place, hub = 0.06, reach + 0.05, _disc(1.3 * _THICKNESS)
     track: list[_Visual] = [(_box(2 * reach + 0.1, width, 0.01), (0, 0.06, -0.02), "track")]
@@ -208,6 +211,7 @@ class ChunkEncoder:
             frame for prefix in prefixes for frame in link_frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
         messages = {layout.TRANSFORMS: layout.transforms(frames), layout.EXTRAS: tick.extras_message}
+        # Messages that are logged at the lower rate of viewing, by topic.
         self._slow = {
             topic: layout.Block({topic: messages[topic]}, tick.channels) for topic in messages if topic in tick.channels
         }
@@ -340,6 +344,10 @@ class LogWriter:
         self._encoder: ChunkEncoder | None = None
 
     def __enter__(self) -> "LogWriter":
+        """Create the partial file, and write the caller's metadata and attachments.
+
+        If these cannot be written, for example on a full disk, the partial file is removed.
+        """
         try:
             self.path = checked_target(self.path)
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -360,6 +368,10 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Complete and rename the file, or keep the partial file if the block has raised `error`.
+
+        A run that failed before its first tick leaves no file.
+        """
         if self._file.stream.closed:
             return
         try:
@@ -453,7 +465,7 @@ class LogWriter:
         return ChunkEncoder(tick)
 
     def _write_chunk(self) -> None:
-        """Write the collected ticks and single messages as a chunk.
+        """Write the collected ticks and single messages as a chunk; before the first one, write the layout.
 
         Raises:
             InputError: the file cannot be written.

@@ -65,6 +65,7 @@ def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array
     for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
         cut = atlas.cut(saddle, kind.section, hit)
         _, period = section_axes(cut.section, atlas)
+        # The atlas stores cuts of unstable tubes, and the time-reversed image of each, which lies on the stable tube.
         for piece in cut.pieces:
             points = piece.stable_points if stable else piece.points
             closed = np.vstack([points, points[:1]]) if piece.closed else points
@@ -75,6 +76,8 @@ def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array
 
 def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
     """Return the point (q, p/p₀) of a connection on its section, with an angle q shifted into the period about zero.
+
+    q is the coordinate along the section, and p is its momentum, scaled by the section's momentum p₀.
 
     Args:
         atlas: atlas with the connection.
@@ -88,7 +91,8 @@ def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
 def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
     """Return the four parts of a saddle's tubes up to a cut: both branches, unstable and stable.
 
-    The atlas stores the unstable tube only; time reversal gives the stable one.
+    A branch is one of the two sides, 1 and -1, on which trajectories leave the orbit. The atlas stores the unstable
+    tube only; time reversal gives the stable one.
 
     Args:
         atlas: atlas with the cut.
@@ -182,6 +186,9 @@ def draw_cuts(
 ) -> None:
     """Draw both tubes' cuts of a kind on its section and mark its connections, which are points of both cuts.
 
+    A kind has the connections from one saddle's orbit to another's that meet a section after given numbers of
+    crossings. A cut is the curve in which a tube meets the section.
+
     Args:
         axes: panel to draw on.
         atlas: atlas with the kind.
@@ -233,6 +240,8 @@ def row_of(
 ) -> list[Panel]:
     """Return a row of panels: the cuts of a kind, and the flight of each connection of `shown`.
 
+    Above a flight are its label, the angle between both cuts at the connection, and the whole turns of each coordinate.
+
     Args:
         atlas: atlas with the kind.
         kind: kind of the connections.
@@ -267,7 +276,8 @@ def draw_motions(
 ) -> None:
     """Draw tubes, orbits and flights in space, or in the plane of coordinates.
 
-    Flights start at their source's named position. If they end whole turns away, the target orbit is drawn there.
+    A flight is the trajectory of a connection. It starts at its source's named position. If flights end whole turns
+    away, the target orbit is drawn there.
 
     Args:
         axes: panel in space or in the plane.
@@ -293,6 +303,7 @@ def draw_motions(
             axes.plot(*c.state[:2], "o", color=colour, markeredgecolor="white", markersize=6, zorder=9)
     look = {"linewidth": 2.5, "zorder": 10} if space else {"linewidth": 3.5, "alpha": 0.45, "zorder": 1}
     for orbit in atlas.orbits:
+        # Flights end at orbits of a saddle's first family, number 0.
         windings = {winding for saddle, winding in ends if saddle == orbit.saddle and orbit.family == 0}
         for winding in windings | ({()} if saddles is None or orbit.saddle in saddles else set()):
             closed = placed(atlas, orbit, winding)
@@ -323,6 +334,7 @@ def draw_atlas(atlas: Atlas) -> Figure:
         partial(draw_cuts, atlas=atlas, kind=k, title=f"{k.source} → {k.target}: {k.count} at hits {list(k.hits)}")
         for k in kinds
     ]
+    # The first two panels of cuts stand beside the space, the others below it.
     page.row(space, *([Stack(panels[:2])] if panels else []), height=6.4 if len(panels) > 1 else 5.2)
     return page.grid(panels[2:], across=2, height=3.2).figure()
 
@@ -370,7 +382,10 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
     name = f"{atlas.model} at {atlas.energy:g}{atlas.unit('J')}"
 
     def places(states: Array) -> Array:
-        """Return the drawn points (…, 3) of states (…, N): two coordinates, and the first rate at a similar scale."""
+        """Return the drawn points (…, 3) of states (…, N): two coordinates, and the first rate times `factor`.
+
+        The factor gives the rate the same range as the coordinates. `first_rate` is the column of the rate.
+        """
         return states[..., [0, 1, first_rate]] * [1, 1, factor]
 
     with recording_to(path, name, view, atlas.status) as recording:
@@ -432,6 +447,7 @@ def _blueprint(atlas: Atlas, *, centre: Array, size: float) -> rrb.Blueprint:
     """
     axes = ", ".join(atlas.labels[k].partition(" ")[0] for k in (0, 1, len(atlas.labels) // 2))
     eye = centre + np.array([-1.0, -1.4, 0.8]) * size
+    # Cuts of connections from a saddle to itself, as saddle, section and number of the crossing.
     first_crossings = {(k.source, k.section, k.hits[0]) for k in atlas.kinds if k.source == k.target}
     hidden = [
         _tube_path(c)

@@ -59,6 +59,7 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView, *, span: Range | None = 
     scale, title = chart.scaled()
     axes.set(title=title, xlabel="time (s)" if view.arm_lengths else "time")
     axes.margins(x=0)
+    # For a key the style of each label, and for names at the right the end, label and colour of each curve.
     entries: dict[str, dict] = {}
     ends: dict[str, tuple[float, str, str]] = {}
     for line in (line for line in chart.lines if line.role != "detail"):
@@ -106,6 +107,7 @@ def _levels(axes: Axes, chart: Chart, *, scale: float) -> dict[str, dict[str, An
     near_limits = [value for value in limits if low - reach < value < high + reach]
     for value in near_limits:
         axes.axhline(value, color=style.LIMIT, linewidth=1.1, linestyle=style.DASHED)
+        # The forbidden side is shaded far beyond the panel.
         axes.axhspan(value, 1e3 * value, color=style.LIMIT, alpha=0.08, linewidth=0)
     band = [scale * level.value for level in chart.levels if level.kind == "band"]
     if band:

@@ -40,6 +40,8 @@ _TRACE = 0.25
 def _draw_film(axes: Axes, view: RunView, times: Array, rows: NDArray[np.int64], box: tuple[Range, Range]) -> None:
     """Draw a filmstrip: a pose for each time, side by side, with its time and the cart's position below.
 
+    Below a pose whose position is not finite, the text is "lost" in place of the position.
+
     Args:
         axes: panel to draw on.
         view: motion to draw.
@@ -131,8 +133,8 @@ def add_film(page: Page, view: RunView, times: Array) -> None:
 def film_times(view: RunView, *, frames: int) -> Array:
     """Return (frames,) times in s for a filmstrip, about the symbols' crossings, otherwise evenly.
 
-    On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. The end of a
-    run that failed counts as a crossing.
+    On either side of a crossing they span a third of the period of a simple pendulum as long as all arms. A run that
+    failed has one crossing more, as long before its end, so that frames show how it ended.
 
     Args:
         view: motion in the film.
@@ -193,11 +195,13 @@ class Film:
         add_story(page, view, span=stretch)
         figure = page.figure()
         figure.set_dpi(_PIXELS)
+        # The picture without moving parts is drawn once, kept as pixels, and restored for each frame.
         self._canvas: Any = figure.canvas
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(figure.bbox)
         self.scene, *self._stories = figure.axes
         self.scene.autoscale(False)
+        # Artists that each frame must not draw again, since they are in the still picture.
         self._static = {artist for axes in figure.axes for artist in axes.get_children()}
 
     def _box(self) -> tuple[Range, Range]:
@@ -255,6 +259,7 @@ class Film:
         if row < 0:
             scene.text(0.5, 0.5, "no data", color=style.MARK, ha="center", **look)
         else:
+            # The path of the tip begins no earlier than the last gap in the ticks.
             first_row = int(np.searchsorted(view.time, view.time[row] - _FILMED_TRACE))
             first_row = max(first_row, int(view.breaks[view.breaks <= row].max(initial=0)))
             points_per_metre = float(np.ptp(scene.transData.transform([(0.0, 0.0), (1.0, 0.0)])[:, 0])) * 72 / _PIXELS
@@ -294,7 +299,7 @@ def write_film(
     The suffix selects GIF, WebP or (with imageio-ffmpeg) MP4. The same view gives the same bytes.
 
     Args:
-        view: run, recording, reference or orbit to show.
+        view: run, recording, reference or orbit to show, as a `RunView`; any other object is rejected.
         file: the film.
         stretch: time range in s; all by default.
         yes: accept any duration of the writing.
@@ -355,6 +360,7 @@ def _write_mp4(film: Film, file: Path, progress: Progress) -> None:
     parameters = ["-crf", "20", "-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1", "-threads", "1"]
     options = {"fps": RATE, "codec": "libx264", "quality": None, "macro_block_size": 2, "output_params": parameters}
     writer = part("imageio_ffmpeg").write_frames(str(file), film.frame(0).size, **options)
+    # The writer is a generator: the first call starts it, each further one adds a frame.
     writer.send(None)
     for frame in film.frames(progress):
         writer.send(frame.tobytes())
@@ -378,6 +384,7 @@ def draw_transitions(reference: Reference) -> Figure:
     """
     content, view = reference.content, reference_view(reference, Path())
     transfers: dict[tuple[str, str], Range] = {}
+    # Number of the symbol, and number of the transfer that is this symbol's motion.
     for k, index in content.transitions():
         symbol, (begin, end) = content.symbols[k], content.transfers[index]
         transfers[symbol.source, symbol.target] = begin, end

@@ -33,6 +33,9 @@ def draw_identification(identification: Identification, *, title: str = "Identif
 def draw_candidates(axes: Axes, identification: Identification) -> None:
     """Draw the prediction errors of each candidate, a set of model terms, on the segments that no fit used.
 
+    A row has a dot for the rms error of each segment and a bar for that of all. The first row is the starting model, so
+    the row of a candidate is one more than its index.
+
     Args:
         axes: panel to draw on.
         identification: identification with the candidates.

@@ -119,7 +119,7 @@ class Page:
         lines = [heading, *rows] if heading else rows
 
         def draw(axes: Axes) -> None:
-            """Draw the table without lines, with columns as wide as their texts."""
+            """Draw `lines`, the rows below their heading, as a table without rules; columns fit their texts."""
             axes.axis("off")
             table = axes.table(lines, loc="upper left", cellLoc="left", edges="open")
             table.auto_set_font_size(False)
@@ -142,7 +142,7 @@ class Page:
             height = len(lines) * _height(size) + 0.5 * _EDGE
 
             def write(part: SubFigure) -> None:
-                """Write the paragraph into its part of the figure."""
+                """Write the wrapped `lines` of the paragraph into their part of the figure, `height` inches high."""
                 place = 0.5 * _EDGE / self.width, 1 - 0.25 * _EDGE / height
                 part.text(*place, "\n".join(lines), fontsize=size, color=colour, va="top", linespacing=_LINE)
 
@@ -267,7 +267,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def _literal_texts(figure: Any) -> None:
-    """Make a figure draw its texts literally, because names of files and models may contain any character.
+    """Make a figure of matplotlib draw its texts literally, because names of files may contain any character.
 
     A dollar sign then begins no formula, and control characters are written out.
     """
@@ -446,7 +446,11 @@ def _cost(place: tuple[int, int], label: Any, axes: Axes, taken: list[Bbox], cur
 
 
 def _beside(label: Any, place: tuple[float, float]) -> Bbox:
-    """Move a label to a place (x, y) beside its point, points, and return the box that it then covers, pixels."""
+    """Move a label to a place (x, y) beside its point, points, and return the box that it then covers, pixels.
+
+    `label` is an annotation of matplotlib, as `name_point` makes it. The sign of each offset decides which side of the
+    label faces its point.
+    """
     x, y = np.sign(place)
     label.set(position=place, ha=("center", "left", "right")[x], va=("center", "bottom", "top")[y])
     return label.get_window_extent()

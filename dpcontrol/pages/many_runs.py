@@ -103,6 +103,8 @@ def draw_groups(axes: Axes, summary: CampaignSummary) -> None:
 def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     """Draw the shares of completed runs over the level of trouble or over the mismatch, a curve for each group.
 
+    `summary.axis` selects the abscissa, "level" or "mismatch". A point stands in the middle of a range of levels.
+
     Args:
         axes: panel to draw on.
         summary: campaign with levels.
@@ -134,7 +136,11 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
 
 
 def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
-    """Draw the numbers of failed runs by the symbol that was not done, the most frequent at the top."""
+    """Draw the numbers of failed runs by the symbol that was not done, the most frequent at the top.
+
+    `summary.failed_symbols` has a group's name, the number of the symbol from 1, or 0 if it is unknown, and the number
+    of runs that failed at it.
+    """
     failed = sorted(summary.failed_symbols, key=lambda failure: -failure[2])[:_SYMBOLS]
     colours = _group_colours(summary, [label for label, _, _ in failed])
     rows = [
@@ -367,6 +373,9 @@ _REASONS = 5
 def _border(axes: Axes, border: HazardBorder) -> None:
     """Draw how the share of completed runs falls when one property of the bench gets worse, and where it is halved.
 
+    Shares are relative to the runs that complete on the bench as described, on the same seeds. The border is the value
+    at which half of these still complete.
+
     Args:
         axes: panel to draw on.
         border: tried values of the property, the shares of completed runs, and the border with its interval.
@@ -382,6 +391,7 @@ def _border(axes: Axes, border: HazardBorder) -> None:
         axes.axvline(set_value, color=style.GOOD, linewidth=1.2, linestyle=style.DASHED)
         values.append(set_value)
     if border.border is not None:
+        # An end of the interval that is not known is replaced by the border itself.
         axes.axvspan(border.low or border.border, border.high or border.border, color=style.LIMIT, alpha=0.15)
         axes.axvline(border.border, color=style.LIMIT, linewidth=1.2)
     axes.axhline(0.5, color=style.MARK, linewidth=0.7, linestyle=style.DASHED)
@@ -402,7 +412,7 @@ def _border(axes: Axes, border: HazardBorder) -> None:
 def _changes(axes: Axes, preflight: Preflight) -> None:
     """Draw the gain of each tried change of the settings, in percent of all runs, with two standard errors.
 
-    A gain that exceeds two standard errors is green.
+    A gain is the increase of the share of completed runs by the change. One that exceeds two standard errors is green.
     """
     rows = [
         Bar(change.text, gain, style.GOOD if gain > two_errors else style.FAINT, (gain - two_errors, gain + two_errors))

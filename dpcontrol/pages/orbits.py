@@ -128,7 +128,10 @@ def _traces(axes: Axes, families: Sequence[RotatingFamily]) -> None:
 
 
 def _shapes(axes: Axes, family: LyapunovFamily) -> None:
-    """Draw orbits in the plane of the most active arm, coloured by energy."""
+    """Draw about `_SHAPES` orbits of a family in the plane of the most active arm, coloured by energy.
+
+    A cross marks the saddle. Its energy is that of the family's birth, near which amplitudes vanish.
+    """
     system, members, scale = family.system, family.members, Normalize(*np.sort(family.energies)[[0, -1]])
     birth = float(system.numeric.hamiltonian(system.equilibrium(family.saddle)))
     # Evenly spaced in amplitude, which grows as the root of the energy above the saddle.

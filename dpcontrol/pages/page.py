@@ -134,11 +134,12 @@ def _chart(axes: Axes, chart: Chart, drawn: Callable[..., None], *, last: bool) 
 
 
 def view_of(result: Any) -> Any:
-    """Return the motion of a result as pages and films draw it, or the object itself if it is one or has none.
+    """Return the motion of a result as a `RunView`, which pages and films draw, or the object itself if it has none.
 
     Args:
-        result: run, plan, log, sustained orbit or walk, for example.
+        result: run, plan, log, sustained orbit or walk, for example; a `RunView` is returned unchanged.
     """
+    # A run is drawn from its log.
     result = getattr(result, "log", result)
     match result:
         case Plan():
@@ -206,6 +207,7 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
 
     Charts without lines are left out.
     """
+    # Each quantity: the chart that has it, key and title of the new chart, and the beginning of its lines' keys.
     charts_of_runs = [charts(run.view) for run in comparison.runs]
     quantities = [
         ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)}", f"arm_{arm + 1}/")
@@ -230,10 +232,11 @@ def _compared_chart(
     """Return one chart of all runs with those of their lines whose keys start with `prefix`.
 
     Several of these lines of a run, such as errors of several arms, are replaced by their largest size at each time.
+    Of the levels, the limits are kept, and those of the energy. If no run has such a chart, the result is None.
 
     Args:
         comparison: compared runs.
-        every: chart of each run, or None where a run has no such chart.
+        every: chart of each run, or None for a run without such a chart.
         key: path of the new chart in a recording.
         title: title of the new chart.
         prefix: beginning of the keys of lines.

@@ -76,8 +76,8 @@ def readable_ticks(axis: Any, unit: str) -> None:
     """Label a logarithmic axis by powers of ten, short ranges also between them, with prefixed units.
 
     Args:
-        axis: x or y axis.
-        unit: unit of its values.
+        axis: x or y axis of matplotlib, whose range is final.
+        unit: unit of its values, "" for plain numbers.
     """
     low, high = axis.get_view_interval()
     multiples = (1.0, 2.0, 5.0) if high < _LONG * low else (1.0,)
@@ -173,6 +173,8 @@ def bars(axes: Axes, title: str, rows: Sequence[Bar], *, x: str = "") -> None:
 def draw_graph(axes: Axes, graph: "nx.MultiDiGraph[str]", title: str) -> None:
     """Draw a connection graph: orbits with an arrow for each pair that is connected, and the numbers of connections.
 
+    A connection is symmetric if time reversal maps it to itself.
+
     Args:
         axes: panel to draw on.
         graph: orbits as nodes, connections as edges.
@@ -185,6 +187,7 @@ def draw_graph(axes: Axes, graph: "nx.MultiDiGraph[str]", title: str) -> None:
     for source, target in dict.fromkeys(graph.edges()):
         connections = [data["connection"] for data in graph.get_edge_data(source, target).values()]
         ends, bend, shrink = np.array([places[source], places[target]]), 0.25, 28.0
+        # Beside the middle of the arrow, on the side to which it bends.
         label_place = ends.mean(axis=0) + 0.18 * (ends[1] - ends[0])[::-1] * (1, -1)
         # An arrow from an orbit to itself is a loop above its disc.
         if source == target:

@@ -15,7 +15,10 @@ Range = tuple[float, float]
 
 
 def gap_times(view: RunView) -> Array:
-    """Return the middle of each gap in the ticks of a run, s, where drawn lines are interrupted."""
+    """Return the middle of each gap in the ticks of a run, s, where drawn lines are interrupted.
+
+    `view.breaks` are the ticks that follow a gap.
+    """
     return (view.time[view.breaks] + view.time[view.breaks - 1]) / 2
 
 

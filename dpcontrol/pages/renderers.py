@@ -84,7 +84,7 @@ def record(result: object, path: Path) -> None:
 
 
 def new_axes(width: float, height: float) -> Any:
-    """Return the axes of a new figure of this size.
+    """Return matplotlib's axes of a new figure of this size, in the style of pages.
 
     Args:
         width: width in inches.
@@ -95,10 +95,10 @@ def new_axes(width: float, height: float) -> Any:
 
 
 def alone(result: Any, place: str) -> Any:
-    """Return a page with the only panel of a result, and its model and energy if it has them.
+    """Return the figure of a page with the only panel of a result, and its model and energy if it has them.
 
     Args:
-        result: result to draw.
+        result: result to draw, of a class in `PANELS`; its source, its orbit or itself may have a system and an energy.
         place: function that draws it, `module:function` as in `PANELS`.
     """
     orbit = getattr(result, "source", getattr(result, "orbit", result))

@@ -84,6 +84,7 @@ class Sheet:
         lines = [[(x, bottom), (x, top)] for x in angles] + [[(left, y), (right, y)] for y in rates]
         label_angle, label_rate = self.low + [0.06, 0.04] * (self.high - self.low)
         places = [(x, label_rate) for x in angles] + [(label_angle, y) for y in rates]
+        # Adding zero turns a negative zero into zero.
         labels = [style.in_pi(x / np.pi) for x in angles] + [f"{y + 0.0:.6g}" for y in rates]
         if lines:
             ends = [self.drawn(line) for line in lines]
@@ -140,9 +141,9 @@ def follow(recording: rr.RecordingStream, path: str, look: Any, time: Array, col
     Args:
         recording: recording to extend.
         path: path in the recording.
-        look: constant style.
+        look: constant style, an object of Rerun's kind for these values, such as `rr.SeriesLines`.
         time: (K,) s.
-        columns: values as columns of Rerun.
+        columns: the K values, as made by the method `columns` of the kind, such as `rr.Scalars.columns`.
     """
     recording.log(path, look, static=True)
     recording.send_columns(path, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns)
@@ -254,6 +255,7 @@ def _changes(strip: Strip, view: RunView) -> tuple[list[tuple[float, str]], dict
     colours: dict[str, str] = {}
     for span in (span for span in strip.spans if span.kind != "transfer"):
         text = f"not planned: {span.text}" if span.kind == "astray" else span.text
+        # A span ends those before it, and replaces changes that were expected after its beginning.
         states = {moment: state for moment, state in states.items() if moment < span.first} | {
             max(span.first, begin): text
         }
@@ -312,6 +314,7 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
     """
     rows, reach = trace_rows(view), sum(view.arm_lengths)
     time, arms = view.time[rows], _points(view.state[rows], view, 0.0)
+    # Name, joints (K, n+1, 3), m, and thickness as a share of the length of all arms.
     chains = [("arms", arms, 0.028)]
     if view.reference is not None:
         chains.append(("reference", _points(view.reference[rows], view, 0.03), 0.05))

@@ -140,6 +140,7 @@ def motion_charts(view: RunView) -> tuple[Chart, ...]:
         Chart("angles", title, "rad", _of_arms(view, 0, "θ"), half_turns=True),
         Chart("rates", "Rates", "rad/s", _of_arms(view, n, "ω"), note=note),
     ]
+    # The states of n arms have n angles, n rates, and the cart's position and velocity.
     if view.has_cart:
         cart_lines = _followed(view, 2 * n, "", view.what, style.PLANT)
         charts.append(
@@ -170,7 +171,8 @@ def _of_arms(view: RunView, first: int, symbol: str) -> tuple[Line, ...]:
 def _followed(view: RunView, column: int, key: str, label: str, colour: str) -> tuple[Line, ...]:
     """Return the lines of one column of the states: reference, estimate and state, as far as known.
 
-    Beside the plant, the estimate is a detail, which only the viewer shows.
+    `view.what` names the drawn states, such as "plant" or "estimate", and `view.against` the reference. The estimate is
+    drawn unless it is the state itself. It is then a detail, which only the viewer shows.
 
     Args:
         view: motion to draw.
@@ -278,7 +280,10 @@ def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None =
 
 
 def _tracking_error(view: RunView) -> Chart | None:
-    """Return the chart of the angles less those of the reference, rad; None without a reference."""
+    """Return the chart of the angles less those of the reference, rad; None without a reference.
+
+    `view.what` names the drawn states, such as "plant", and `view.against` what they are compared with.
+    """
     if view.reference is None:
         return None
     return Chart(
@@ -335,7 +340,9 @@ def _energy(view: RunView) -> Chart | None:
 def _nis(view: RunView) -> Chart | None:
     """Return the chart of the NIS, as means over windows, with the 95 % range of a consistent estimator.
 
-    The NIS is the square of the innovation in units of its expected covariance, for each measurement.
+    The NIS is the square of the innovation in units of its expected covariance, for each measurement. Its expected
+    value is the number of measured positions, `view.sensors`. If the means exceed it tenfold, the axis is logarithmic.
+    The result is None if the run has no NIS.
     """
     if view.nis is None:
         return None

@@ -32,6 +32,7 @@ def tube(axes: Axes, shown: Tube) -> None:
     """
     strands = shown.strands()
     for k, strand in enumerate(strands):
+        # The strands of the first branch come first, as many as of the second.
         branch = shown.branches[k * len(shown.branches) // len(strands)]
         axes.plot(*strand[:, :2].T, color=BRANCHES[shown.stable, branch], linewidth=0.5, alpha=0.8)
     _ring(axes, shown.orbit)
@@ -87,6 +88,7 @@ def search(axes: Axes, result: ConnectionSearch, shown: Sequence[Connection] | N
     """
     shown = result.connections if shown is None else shown
     section = result.cuts[0].section
+    # The coordinate of the states that the position on the section mainly measures.
     coordinate = int(np.argmax(np.abs(section.position)))
     period = float(result.source.system.periods[coordinate])
     for manifold, cut in zip((result.source.manifold(), result.target.manifold(stable=True)), result.cuts, strict=True):
@@ -114,6 +116,7 @@ def flights(axes: Axes, connections: Sequence[Connection]) -> None:
     """
     for connection, colour in zip(connections, cycle(style.SERIES), strict=False):
         _ring(axes, connection.source)
+        # The target orbit is drawn where the connection ends, which may be whole turns away.
         _ring(axes, connection.target, connection.orbit.end.turns * connection.source.system.turn_lengths)
         axes.plot(*connection.sample(600)[:, :2].T, color=colour, linewidth=1.0)
 
@@ -152,6 +155,7 @@ def flight(axes: Axes, result: Flight) -> None:
         result: flight to draw.
     """
     times = np.linspace(*result.time_range, 400)
+    # A state has the angle and the rate of each arm, and the cart's position and velocity, which come last.
     states, arms = result.states(times), result.nodes.shape[1] // 2 - 1
     for arm in range(arms):
         axes.plot(times, states[:, arm] / (2 * np.pi), color=style.arm_colour(arm), label=f"arm {arm + 1}, turns")

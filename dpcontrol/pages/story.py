@@ -45,6 +45,9 @@ class Strip:
 def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
     """Return the strips of a run's story that exist: planned and done itinerary, symbols, activities, and modes.
 
+    Their keys are "asked" and "done" for the stays as planned and as decoded, "symbol" for the spans between symbols,
+    "motion" for activities after falls, and "mode" for the controller's modes.
+
     Args:
         view: run to draw.
         until: planned end of the run, s; the plan's end by default.
@@ -110,7 +113,10 @@ def _motions(view: RunView) -> Iterator[Span]:
 
 
 def _stays(stays: tuple[Stay, ...]) -> Iterator[Span]:
-    """Yield stays as spans in the colours of their saddles; stays that the plan does not contain are red."""
+    """Yield stays as spans in the colours of their saddles; stays that the plan does not contain are red.
+
+    A stay is a period of time near the orbit about a saddle, or at rest at it.
+    """
     for stay in stays:
         colour = style.saddle_colour(stay.saddle) if stay.wanted else style.LIMIT
         yield Span(stay.first, stay.last, stay.text, colour, "stay" if stay.wanted else "astray")
@@ -191,6 +197,7 @@ def _story(axes: Axes, view: RunView, rows: list[Strip], span: Range, width: flo
     begin, end = span
     # The names of the strips take the rest of the width.
     seconds_per_inch = (end - begin) / (width - 1.2)
+    # Times of the symbols' marks by the name of their strip: the first has the planned times, "done" the actual ones.
     symbol_times = {"done": [done for _, _, done in view.symbols if done is not None]}
     symbol_times[rows[0].name] = [planned for _, planned, _ in view.symbols]
     for place, strip in enumerate(reversed(rows)):
@@ -256,6 +263,9 @@ def _part(axes: Axes, part: Span, place: int, second: float, *, marks: list[floa
 
 def _numbers(axes: Axes, view: RunView, rows: list[str], span: Range, second: float) -> None:
     """Mark the symbols at their planned and actual times, number the planned ones, and name them if there is room.
+
+    `view.symbols` has the name of each symbol, its planned time and its actual one, s, or None if it was not done. A
+    number or a name that would overlap the one before is left out.
 
     Args:
         axes: panel of the story.

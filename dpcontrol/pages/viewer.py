@@ -222,6 +222,7 @@ class LiveView(LoopSink):
             raise InputError("a live view needs pipes as Linux and macOS have them; review the log after the run")
         if not viewer:
             check_viewer(LIVE_REMEDY)
+        # One of every so many ticks is sent; the number to skip before the next one comes second.
         self._every, self._left = max(1, round(start.rate_hz / RATE)), 0
         self._sent = self._dropped = 0
         context = get_context("spawn")
@@ -324,7 +325,7 @@ def show(recording: "recorded.rr.RecordingStream", start: RunLog, parts: Iterabl
     Args:
         recording: recording of the viewer.
         start: log before the first row.
-        parts: rows and events.
+        parts: rows and events that arrived together, see `Part`.
     """
     planned, log = reference_view(plan_of(start), start.path), replace(start, rate_hz=RATE, extras=None)
     last_rows, new_events = None, ()

@@ -124,7 +124,10 @@ class WalkStory:
         )
 
     def nearness(self) -> Chart:
-        """Return the chart of the distances between the walk and its periodic orbits, scaled as for counting wraps."""
+        """Return the chart of the distances between the walk and its periodic orbits, scaled as for counting wraps.
+
+        Its axis is logarithmic, so distances below 1e-16 are drawn there.
+        """
         lines = tuple(
             Line(
                 saddle,
@@ -192,7 +195,8 @@ def draw_shape(axes: Axes, story: WalkStory) -> None:
 def _base_orbits(story: WalkStory) -> list[tuple[Array, str]]:
     """Return the periodic orbits where the walk passes them, with their saddles: closed curves (M, N) of states.
 
-    A walk that turns over passes an orbit again whole turns away, where another copy of it is drawn.
+    A walk that turns over passes an orbit again whole turns away, where another copy of it is drawn. The walk's offsets
+    are these turns of each coordinate, at each orbit in the order of visits.
     """
     chain, offsets = story.orbit.connections, story.orbit.offsets
     closed = {name: np.vstack([curve.samples, curve.samples[:1]]) for name, curve in story.curves.items()}

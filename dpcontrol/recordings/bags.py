@@ -140,7 +140,11 @@ def _topic(name: str, topics: Sequence[str], path: Path) -> str:
 def _table(bag: Any, topic: str, names: Sequence[str]) -> dict[str, Array]:
     """Return the times of a topic's messages, s, in order, and its columns (K,) that hold numbers, by name.
 
-    Times are counted from the start of the bag. `names` are the columns' names, each beginning with the topic.
+    `bag` is the open reader of rosbags. Times are counted from the start of the bag. `names` are the columns' names,
+    each beginning with the topic. A column without any number is left out.
+
+    Raises:
+        ValueError: the topic has no messages.
     """
     connections, start = bag.topics[topic].connections, bag.start_time
     checked_size(8.0 * bag.topics[topic].msgcount * (len(names) + 1))
@@ -158,8 +162,8 @@ def _table(bag: Any, topic: str, names: Sequence[str]) -> dict[str, Array]:
 def _number(message: Any, path: str, start: int) -> float:
     """Return the number at the end of a column's path in a message, NaN if there is none.
 
-    A path is "/JOINT/FIELD" in joint states, else fields and indices such as ".data[1]". Times are in seconds since
-    `start` ns.
+    `message` is an object of rosbags with the message's fields as attributes. `path` is "/JOINT/FIELD" in joint states,
+    else fields and indices such as ".data[1]". A time stamp becomes seconds since `start` ns.
     """
     joint, _, field = path[1:].rpartition("/")
     try:

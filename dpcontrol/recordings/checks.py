@@ -128,7 +128,8 @@ class Repair:
 def _before_gap(samples: Samples, period: float) -> Marks:
     """Mark the samples (K,) before a gap in time, at which the repair "gaps" cuts the segment.
 
-    `period` is the nominal period, s, or 0.
+    `period` is the nominal period, s, or 0. If more than a twentieth of the steps are gaps, none is marked, because
+    the sampling is then uneven, which the repair "sampling" corrects.
 
     Raises:
         InputError: the samples have another period than the mapping.
@@ -141,7 +142,7 @@ def _before_gap(samples: Samples, period: float) -> Marks:
             "check the time's unit and the period"
         )
     gaps = np.append(steps > _GAP * spacing, False)
-    # Steps of many lengths are uneven sampling.
+    # A short recording may have five gaps.
     return gaps & (gaps.sum() <= max(5, _MOST_LEFT_OUT * len(steps)))
 
 
@@ -156,6 +157,7 @@ def _wrapped(samples: Samples, period: float) -> Marks:
     largest_turn = _JUMP + _FASTEST_RATE * np.diff(samples.time, prepend=samples.time[0])[:, None]
     angles = samples.values[:, : samples.arms]
     steps = np.abs(np.diff(angles, axis=0, prepend=angles[:1]))
+    # Apart from the whole turn, the arm turned no further than it can in a sample; 1.5 rad limits long periods.
     wraps = np.abs(steps - 2 * np.pi) < np.minimum(largest_turn, 1.5)
     jumps = (steps > largest_turn) & ~wraps
     if jumps.any():
@@ -175,8 +177,9 @@ def _unwrapped(values: Array, arms: int) -> Array:
 def _filled(samples: Samples, marks: Marks, period: float) -> list[Samples]:
     """Return the segments of samples with short holes filled by a cubic, cut at longer holes: the repair "nan".
 
-    `marks` (K, m) are True for missing values. A sample with any of them counts as missing. The arguments are those of
-    `Repair.mend`; the period is not needed.
+    `marks` (K, m) are True for missing values. A sample with any of them counts as missing. If fewer than
+    `FEWEST_SAMPLES` samples are complete, there are no segments. The arguments are those of `Repair.mend`; the period
+    is not needed.
     """
     missing: Marks = np.asarray(marks.any(axis=1), dtype=bool)
     values = samples.values.copy()
@@ -281,13 +284,16 @@ REPAIRS = {
 def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) -> tuple[list[Samples], list[str]]:
     """Return the samples as faultless segments, and a sentence for each repair.
 
+    Segments with fewer than `FEWEST_SAMPLES` samples, which a repair may leave, are dropped.
+
     Args:
         samples: one stretch of the recording.
         period: nominal period of the samples, s; 0 if only the times give it.
         repairs: permitted repairs, names of `REPAIRS`.
 
     Raises:
-        InputError: a fault has no permitted repair, or none exists; names row and time.
+        InputError: a fault has no permitted repair, or none exists, and the error names row and time; too many rows
+            have a fault; or no segment has enough samples.
     """
     segments, notes = [samples] if len(samples.time) >= FEWEST_SAMPLES else [], list[str]()
     for name, repair in REPAIRS.items():
@@ -374,11 +380,13 @@ def check_plausible(segments: Sequence[Samples], spacing: float, *, file: str) -
 def _compare(derivative: Array, rates: Array, *, file: str) -> None:
     """Reject rates (W, n) that are not the `derivative` (W, n) of the angles, both rad/s, of all segments in sequence.
 
-    Column k of both belongs to arm k.
+    Column k of both belongs to arm k. Every derivative is compared with every rate, so that swapped columns are
+    recognised. An arm that hardly moves is not judged.
 
     Raises:
         InputError: names the likely cause: a unit, a sign or swapped columns.
     """
+    # Below, entry (i, j) compares the derivative of angle i with rate j: as slopes by least squares, and correlations.
     rate_squares, products = np.sum(rates**2, axis=0), derivative.T @ rates
     derivative_squares = np.sum(derivative**2, axis=0)
     slopes = products / np.maximum(rate_squares, 1e-300)
@@ -427,9 +435,10 @@ def constant_angles(recording: Recording) -> tuple[str, ...]:
 
 
 def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str) -> str:
-    """Return a sentence on the contradiction between arms and recording, or "" if it is small.
+    """Return a sentence on the contradiction between arms and recording, or "" if none is found.
 
-    It warns users who combine a recording with the model of another rig, and names the likely mistake.
+    A recording in which the model's arms would hardly accelerate shows none. The sentence warns users who combine a
+    recording with the model of another rig, and names the likely mistake.
 
     Args:
         recording: the recording.
@@ -468,17 +477,20 @@ def contradiction(recording: Recording, arms: ArmChainParameters, *, model: str)
 def _difference(recording: Recording, arms: ArmChainParameters, order: tuple[int, ...]) -> tuple[float, Array, Array]:
     """Return the difference of recorded and predicted accelerations as a share of the larger, and both (n,), rad/s².
 
-    The angles of the recording are taken in this order, as if columns were exchanged. The accelerations are root mean
-    squares; the blur of encoders is subtracted from the difference.
+    Arm i is compared with angle `order[i]` of the recording, as if columns were exchanged. The accelerations are root
+    mean squares over all windows; the blur of the encoders, see the head of this module, is subtracted from the
+    difference. If no segment is longer than a window, all are zero.
     """
     rate, n = equations_of(arms, Level.CART).function(), arms.count
     stride = max(round(_STEP / recording.dt), 1)
+    # Each row of `pairs` has the n recorded accelerations at a time, then the n predicted ones.
     step, pairs = stride * recording.dt, [np.zeros((0, 2 * n))]
     for part in recording.split():
         rows = np.arange(stride, len(part.time) - stride, max(stride // 2, 1))
         if not rows.size:
             continue
         before, middle, after = (part.angles[rows + shift][:, order] for shift in (-stride, 0, stride))
+        # Angles and rates of the arms, then the cart's position, which has no effect, and its velocity.
         states = np.hstack([middle, (after - before) / (2 * step), np.zeros((len(rows), 2))])
         cart_accelerations = np.zeros(len(rows))
         if (cart := cart_motion(part)) is not None:

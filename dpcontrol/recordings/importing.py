@@ -102,7 +102,11 @@ def _of_columns(path: Path, user_mapping: Mapping | None, default: str) -> tuple
     """Return the mapping, restricted to the file's columns, and the stretches of samples of a table or a bag.
 
     The default mapping names more columns than a file needs: the second and later arms of joint states, the rates, the
-    cart and the segments may be missing. `default` is the name of that mapping, and `user_mapping` replaces it.
+    cart and the segments may be missing. `default` is the name of that mapping, and `user_mapping` replaces it; all
+    columns of a user's mapping must exist.
+
+    Raises:
+        InputError: the mapping is for MATLAB cells, a column is missing, or only some arms have rates.
     """
     mapping, optional = user_mapping or load_mapping(default), list[str]()
     if mapping.cells.states:
@@ -123,7 +127,10 @@ def _of_columns(path: Path, user_mapping: Mapping | None, default: str) -> tuple
 def _segments(path: Path, mapping: Mapping, columns: Columns[str, Array]) -> list[Samples]:
     """Return the samples of each segment in a file's columns (K,), which are cut where the segment's number changes.
 
-    `mapping` defines the columns, their units and directions.
+    `mapping` defines the columns, their units and directions. Without a column of segments, all samples are one.
+
+    Raises:
+        InputError: the columns differ in length.
     """
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
@@ -149,8 +156,11 @@ def _samples(where: str, mapping: Mapping, values: Columns[str, Array], time: Ar
     Args:
         where: file and part, for messages.
         mapping: the mapping.
-        values: columns (K, …) by kind, the angles first.
+        values: columns (K, …) by kind, the angles first; kinds are `ANGLE`, `RATE`, `CART` and `COMMAND`.
         time: (K,) in the file's unit, or None if the mapping gives a period.
+
+    Raises:
+        InputError: there are too many arms, or the mapping has values for another number of arms.
     """
     count, arms = values[ANGLE].shape
     if arms > MOST_ARMS:
@@ -179,7 +189,8 @@ def _samples(where: str, mapping: Mapping, values: Columns[str, Array], time: Ar
 def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repairs: frozenset[str]) -> Recording:
     """Return the recording of a file's stretches, after all checks and the permitted repairs.
 
-    `repairs` are the names of permitted repairs.
+    Segments whose times overlap are moved to follow one another, as the recording's notes report. `repairs` are the
+    names of permitted repairs.
 
     Raises:
         InputError: the stretches have different numbers of arms, or a check fails.
@@ -202,6 +213,7 @@ def _recording(path: Path, mapping: Mapping, stretches: list[Samples], *, repair
     times: list[Array] = []
     for index, part in enumerate(parts):
         last = times[-1][-1] if times else -spacing
+        # The first segment is moved only if its time begins below zero.
         overlaps = part.time[0] <= last if times else part.time[0] < 0
         shift = last + spacing - part.time[0] if overlaps else 0.0
         notes += [f"segment {index}: its time was moved by {shift:.9g} s to follow the one before"] if overlaps else []
@@ -254,7 +266,7 @@ def read_table(path: Path, columns: Sequence[str], *, optional: Collection[str] 
 
 
 def _parquet(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
-    """Return all column names of a Parquet file, and the cells of the named columns.
+    """Return all column names of a Parquet file, and the cells (K,) of the named columns as numpy arrays.
 
     A column whose name occurs several times is left out, and reported by the caller.
     """
@@ -271,6 +283,9 @@ def _text(path: Path) -> tuple[list[str], dict[str, Sequence[str]]]:
     """Return the columns' names of a text table, and its cells by column, as texts.
 
     A first line of numbers is no header: the names are then 1, 2, ….
+
+    Raises:
+        ValueError: the table has fewer than two lines, or a row has not as many cells as the first line.
     """
     with path.open(encoding="utf-8-sig", newline="") as stream:
         # NumPy writes a header as a comment.
@@ -296,7 +311,7 @@ def _text(path: Path) -> tuple[list[str], dict[str, Sequence[str]]]:
 
 
 def _numbers(cells: Sequence[Any], name: str, path: Path) -> Array:
-    """Return a column's cells as numbers (K,); markers of missing values become nan.
+    """Return a column's cells, texts or numbers, as numbers (K,); markers of missing values become nan.
 
     Raises:
         InputError: a cell is no number; names its row.
@@ -316,6 +331,9 @@ def _of_matlab(path: Path, user_mapping: Mapping | None) -> tuple[Mapping, list[
     """Return the mapping of a MATLAB file, with the file's period if it holds one, and the stretches of samples.
 
     Without a user's mapping, the first shipped one that fits is used.
+
+    Raises:
+        InputError: no mapping fits, a column is missing, or the file's period is impossible.
     """
     file = MatlabFile(path, read_matlab(path))
     mapping = user_mapping or _fitting(file)
@@ -347,7 +365,7 @@ def _fitting(file: "MatlabFile") -> Mapping:
 
 
 def _cells(file: "MatlabFile", mapping: Mapping) -> Iterator[Samples]:
-    """Yield the samples of each cell of the mapped cell arrays, each a matrix of angles, then rates, by row.
+    """Yield the samples of each cell of the mapped cell arrays; a cell is a matrix whose rows are angles, then rates.
 
     Raises:
         InputError: a cell has another shape, or not as many times.
@@ -358,6 +376,7 @@ def _cells(file: "MatlabFile", mapping: Mapping) -> Iterator[Samples]:
             name, values = f"{states}{{{number}}}", file.values[cell]
             time = file.column(f"{times}{{{number}}}") if times else None
             angles, rates = np.array_split(np.atleast_2d(values).T.astype(float), 2, axis=1)
+            # The names differ if a cell before this one is missing because it holds no numbers.
             if name != cell or angles.shape != rates.shape or (time is not None and len(time) != len(angles)):
                 raise InputError(
                     f"{file.path}: {name} is not a matrix with an even number of rows, angles then rates, and a column "
@@ -388,7 +407,7 @@ class MatlabFile:
     values: Columns[str, NDArray[Any]]
 
     def find(self, name: str) -> NDArray[Any] | None:
-        """Return the array of a name, or None.
+        """Return the array of a name, or None if the file has no such array, row or column.
 
         Case is ignored. Of a signal logged by Simulink (structure with time, time series), it is the array of values.
 
@@ -459,7 +478,9 @@ def read_matlab(path: Path) -> dict[str, NDArray[Any]]:
 def _unpacked_size(data: bytes) -> int:
     """Return the unpacked size of a version 5 file, bytes, from the headers of its compressed variables.
 
-    A file that would unpack to more than the memory is rejected by it.
+    The caller rejects a file that would unpack to more than the memory. The size is 0 for files of other versions and
+    without compressed variables. A version 5 file has a header of 128 bytes that ends with the order of bytes. Each
+    variable begins with its type and length, four bytes each.
     """
     byte_order = {b"IM": "<", b"MI": ">"}.get(data[126:128], "")
     size, position = 0, 128
@@ -483,11 +504,12 @@ def _hdf5_size(path: Path) -> int:
 def _arrays(value: Any, name: str, owner: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
     """Yield the arrays of numbers in a variable, with their names in MATLAB's notation.
 
-    The cells of a cell array of objects within an object are also those of the object. The times of a time series,
-    which MATLAB does not store where they are even, are added.
+    If an object holds a cell array of objects, each cell is yielded under the array's name and under the name of the
+    object. A time series with even times stores only their start, increment and number, so its times are added.
 
     Args:
-        value: variable, or a part of it.
+        value: variable, or a part of it, as scipy or mat-io read it: an array, a list of cells, a dictionary of fields,
+            or an object whose `properties` are these. Texts and other contents yield nothing.
         name: its name.
         owner: the name of the variable or cell that holds it.
     """

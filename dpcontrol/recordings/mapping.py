@@ -33,7 +33,10 @@ NAMED = BeforeValidator(lambda value: str(value) if type(value) is int else valu
 
 
 def _listed(value: Any) -> tuple[Any, ...]:
-    """Return one value for all arms, or one for each, as a tuple of numbers; names of `ZEROS` become their numbers."""
+    """Return one value for all arms, or one for each, as a tuple of numbers; names of `ZEROS` become their numbers.
+
+    `value` is an entry of a TOML file: a number, a name, or a list of them.
+    """
     values = value if isinstance(value, list | tuple) else [value]
     return tuple(ZEROS.get(entry, entry) if isinstance(entry, str) else entry for entry in values)
 
@@ -154,7 +157,7 @@ class Mapping:
         return self.sampling.period or (1 / self.sampling.rate if self.sampling.rate else 0.0)
 
     def restricted(self, columns: Collection[str]) -> "Mapping":
-        """Return the mapping without the angles, rates and cart that a file lacks.
+        """Return the mapping without the angles, the rates and the cart's position that a file lacks.
 
         Args:
             columns: names of the file's columns.

@@ -310,7 +310,7 @@ def recording_of(log: RunLog) -> Recording:
         log: log of a run, a recording or a replay.
 
     Raises:
-        InputError: segments and samples of the log do not match.
+        InputError: segments and samples of the log do not match, or its time runs backward.
     """
     n, steps, period = len(log.arm_lengths), np.diff(log.time), 1 / log.rate_hz
     if (backward_steps := np.flatnonzero(steps < 0)).size:
@@ -320,6 +320,7 @@ def recording_of(log: RunLog) -> Recording:
         )
     is_recording = log.metadata.get("kind") in (KIND, REPLAYED)
     metadata = {"title": log.path.stem, "source": "" if is_recording else log.path.name}
+    # A run is one segment, in which the arms felt the applied acceleration, not the controller's command.
     segments, command = ((0, len(log.time)),), log.controls.get("applied")
     if is_recording:
         segments, metadata = log.segments, {**metadata, **log.metadata}
@@ -372,8 +373,9 @@ class CartMotion(Brief):
 def cart_motion(part: Recording) -> CartMotion | None:
     """Return the cart's motion in a recording of one segment, or None if the cart was clamped.
 
-    The acceleration is the command if it explains the measured position, and else follows from the position, see the
-    head of this module.
+    A cart with a measured position is clamped if it travels less than `STILL`, a cart without one if there is no
+    command or all commands are zero; else its position is the integral of the command. The acceleration is the command
+    if it explains the measured position, and else follows from the position, see the head of this module.
 
     Args:
         part: recording of one segment.
@@ -422,6 +424,7 @@ def smoothed_derivative(values: Array, period: float, order: int = 1, *, window:
     # The import is slow, and models not derived from recordings do not need it.
     from scipy.signal import savgol_filter
 
+    # The filter needs an odd number of samples.
     width = min(max(round(window / period) | 1, 5), (len(values) - 1) | 1)
     if width < 5:
         return np.zeros_like(values)
@@ -501,6 +504,7 @@ def simulated_recording(
         state = np.concatenate([np.asarray(start, dtype=float), np.zeros(n)])
         angles = propagator.sample(state, times)[:, :n] + (0.0 if zeros is None else zeros)
         if counts:
+            # Encoders at the joints round the angles between neighbouring arms.
             step = 2 * np.pi / counts
             relative = np.diff(angles, axis=1, prepend=0.0)
             angles = np.cumsum(step * np.rint(relative / step), axis=1)

@@ -94,12 +94,16 @@ def listing(result: Any) -> Iterator[Line]:
 def _lines(document: Mapping[str, Any], units: Mapping[str, str]) -> Iterator[Line]:
     """Yield the entries of a document as lines and tables, the status last; empty entries are left out.
 
+    Rows, which are mappings, become a table, or a section for each row if a cell is too long for a table. Lists of
+    sentences become a line for each sentence, and single values a line with the entry's name.
+
     Args:
         document: JSON values by key.
         units: units of the entries by key.
     """
     names = {key: _name(key, units) for key in document}
     width = max(map(len, names.values()), default=0)
+    # The status, for which the comparison is True, comes last.
     for key in sorted(document, key="status".__eq__):
         value = document[key]
         rows = _rows(value)
@@ -128,7 +132,10 @@ def _name(key: str, units: Mapping[str, str]) -> str:
 
 
 def _rows(value: Any) -> list[Mapping[str, Any]]:
-    """Return the rows of a list, or of a mapping with a name for each; none for other values."""
+    """Return the rows of a list of mappings, or of a mapping with a name for each row; none for other values.
+
+    `value` is an entry of a JSON document.
+    """
     if isinstance(value, Mapping) and all(isinstance(row, Mapping) for row in value.values()):
         return [{"name": name, **row} for name, row in value.items()]
     return value if isinstance(value, list) and all(isinstance(row, Mapping) for row in value) else []
@@ -137,7 +144,8 @@ def _rows(value: Any) -> list[Mapping[str, Any]]:
 def _sentences(value: Any) -> list[str]:
     """Return the texts of a list or mapping as lines, if at least one is a sentence; none for other values.
 
-    A mapping gives each line the name of its text. A text with a blank counts as a sentence.
+    `value` is an entry of a JSON document. A mapping gives each line the name of its text. A text with a blank counts
+    as a sentence.
     """
     texts = list(value.values()) if isinstance(value, Mapping) else value
     is_prose = isinstance(texts, list) and all(isinstance(text, str) for text in texts)

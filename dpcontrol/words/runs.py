@@ -103,8 +103,10 @@ def told(cause: str, figures: Mapping[str, Any]) -> str:
 def _phrases(figures: Mapping[str, Any]) -> dict[str, str]:
     """Return the parts of sentences that depend on several numbers or have two forms, by their names in `SENTENCES`.
 
+    All phrases are made; those that the sentence of the cause does not contain are not used.
+
     Args:
-        figures: numbers and names of a cause; missing ones leave their phrases unused.
+        figures: numbers and names of a cause; for a missing one its phrase is made of zero or of an empty text.
     """
     symbols, symbol = figures.get("symbols", 0), figures.get("symbol", 0)
     is_repeated, velocity, sensor = (figures.get(name, 0) for name in ("again", "velocity", "sensor"))
@@ -157,7 +159,8 @@ def _done(figures: Mapping[str, Any]) -> str:
     """Return the sentence on a completed run: symbols and transfers, wraps, and its end.
 
     Args:
-        figures: numbers and names of `Fault.NONE`.
+        figures: numbers and names of `Fault.NONE`: `motions` are all symbols and transfers, `stay` is "hold" for an
+            equilibrium, and `lowest` is True if the run ends at rest, with the arms hanging.
     """
     total, saddle = figures["motions"], figures["saddle"]
     if not total and figures["stay"]:
@@ -193,6 +196,8 @@ _SIMULATED = {
 def conditions(settings: Sequence[Mapping[str, Any]], *, simulated: bool) -> str:
     """Return the conditions that all of some runs share (rate, delay, mismatch …), for the head of a page.
 
+    A condition that differs between the runs is left out.
+
     Args:
         settings: settings of each run as JSON values.
         simulated: True for runs on a simulated bench.
@@ -220,7 +225,7 @@ def conditions_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
 
 
 def _at(settings: Mapping[str, Any], path: str) -> Any:
-    """Return the value of a setting at its path, which has at most one dot."""
+    """Return the JSON value of a setting at its path, "key" or "table.key", in settings by table and key."""
     table, _, key = path.rpartition(".")
     return settings[table][key] if table else settings[key]
 

@@ -53,12 +53,12 @@ def _failed(why: str) -> Callable[[Any], str]:
 
 
 def _joule(r: Any, energy: float, digits: int = 6) -> str:
-    """Return an energy as text with `digits` significant digits; J follows if the result's system has SI units."""
+    """Return an energy as text with `digits` significant digits; J follows if the system of `r` has SI units."""
     return f"{energy:.{digits}g}{r.system.unit('J')}"
 
 
 def _second(r: Any, time: float) -> str:
-    """Return a duration as text; s follows if the result's system has SI units."""
+    """Return a duration as text; s follows if the system of the result `r` has SI units."""
     return f"{time:.3g}{r.system.unit('s')}"
 
 
@@ -80,20 +80,25 @@ def _missed(r: Any, text: str) -> str:
 
 
 def _cut(r: Any, *clauses: str) -> str:
-    """Return the sentence on a cut of a tube: its clauses, and a note if the refinement used up its processor time."""
+    """Return the sentence on a cut of a tube: its clauses, and a note if the refinement used up its processor time.
+
+    `r` is the cut: `r.spent` is True if the time is used up, and `r.seconds` is its limit, which may be infinite.
+    """
     out_of_time = f"partial: the cut reached its limit of {r.seconds:g} s of processor time: allow more seconds"
     return _joined(*((True, clause) for clause in clauses), (r.spent and math.isfinite(r.seconds), out_of_time))
 
 
 def _tubes(r: Any) -> str:
-    """Return the outcomes of both cuts of a search for connections, those of the unstable and of the stable tube."""
+    """Return the outcomes of both cuts of a search `r` for connections, of the unstable and of the stable tube."""
     return f"unstable tube {r.cuts[0].status}; stable tube {r.cuts[1].status}"
 
 
 def _searched(r: Any) -> str:
     """Return the sentence on a search for connections by the tubes of two orbits.
 
-    It states the number of connections, and each reason for which there may be more, with its remedy.
+    It states the number of connections, and each reason for which there may be more, with its remedy. `r` is a
+    `ConnectionSearch`. A cut is the curve in which a tube meets the section. It is open if some trajectories of the
+    tube do not arrive or separate too much; an open end hides connections, or leads to later crossings.
     """
     remedy = "try another energy" if r.settings.thorough else "search thoroughly"
     or_other_energy = "" if r.settings.thorough else ", or at another energy"
@@ -140,7 +145,8 @@ def _searched(r: Any) -> str:
 def _on_laps(r: Any) -> str:
     """Return the sentence on a search in which the tube of one orbit crosses the section on every lap of the orbit.
 
-    Only some of these crossings are searched, so the number of connections is no total.
+    Only some of these crossings are searched, so the number of connections is no total. `r` is a `ConnectionSearch`,
+    whose first searched crossing is `r.first`.
     """
     cut, orbit = next((cut, orbit) for cut, orbit in zip(r.cuts, (r.source, r.target), strict=True) if orbit.laps)
     if not r.connections:
@@ -207,7 +213,9 @@ def caveat_sentence(r: Any) -> str:
     """Return the reason for which the count of connections at one energy may be too small, or "" if it is complete.
 
     Args:
-        r: search at one energy of a search for bifurcations.
+        r: search at one energy of a search for bifurcations. `r.unresolved` are cuts that were not refined enough,
+            `r.failed` and `r.unmatched` are numbers of crossings, and `r.orbits` is empty if an orbit or its tube does
+            not exist.
     """
     if r.unresolved:
         return f"{r.unresolved[-1].hit}. crossing: {r.unresolved[-1].status}"
@@ -219,7 +227,10 @@ def caveat_sentence(r: Any) -> str:
 
 
 def _followed(gap: Any, k: int) -> str:
-    """Return the value of the parameter that a search for bifurcations varies, at end `k` (0 or 1) of a gap."""
+    """Return the parameter that a search for bifurcations varies, with its value at end `k` (0 or 1) of a gap.
+
+    `gap` is an interval between two searches in which the count changes without a located cause.
+    """
     return f"{gap.course.quantity} = {gap.values[k]:.9g}{gap.course.unit}"
 
 
@@ -227,7 +238,10 @@ def bifurcations_sentence(r: Any) -> str:
     """Return the sentence on a search for bifurcations: located events, unexplained changes, incomplete counts.
 
     Args:
-        r: a `BifurcationSearch`.
+        r: a `BifurcationSearch`, which varies the energy or another parameter, `r.course`. `r.counts` are the numbers
+            of connections at its values, `r.unexplained` their changes without a located event. Above
+            `r.scatters_from`, unless None, no count is complete. `r.born` is the energy of the higher saddle, if the
+            search starts just above it, or None.
     """
     count, unit = counted(len(r.events), "event"), r.course.unit
     unexplained = [(*change.values, change.reason) for change in r.unexplained[:5]]
@@ -255,28 +269,31 @@ def bifurcations_sentence(r: Any) -> str:
 
 
 def _passed(use: Any) -> str:
-    """Return the clause on a limit of the cart that a motion passes, with the largest value and its time."""
+    """Return the clause on a limit of the cart that a motion passes, with the largest value and its time.
+
+    `use` is a `LimitUse`: the largest value of the cart's position, velocity or acceleration, and its bound.
+    """
     return f"cart {use.name} of {use.largest:.4g} {use.unit} where {use.bound:.4g} is allowed (at t = {use.time:.2f} s)"
 
 
 def _mesh(r: Any) -> str:
-    """Return the clause on the accuracy of a reference: its error between the nodes of the mesh."""
+    """Return the clause on the accuracy of a reference `r`: its error between the nodes of the mesh, scaled."""
     return f"error between nodes {r.error:.1e} on {r.intervals} intervals"
 
 
 def _longer(r: Any) -> str:
-    """Return the advice to stay on the last orbit for one more wrap."""
+    """Return the advice to stay on the last orbit for one more wrap than the itinerary of the reference `r` has."""
     return f"raise lead_out to {r.content.lead_out + 1}"
 
 
 def _symbol(r: Any) -> str:
-    """Return the number and the text of the symbol at which a reference falls short."""
+    """Return the number and the text of the symbol at which a reference falls short; `r` is the shortfall."""
     symbols = r.content.symbols
     return f"symbol {r.stop} of {len(symbols)} ({symbols[r.stop - 1].text!r})"
 
 
 def _far(r: Any) -> str:
-    """Return the clause on the smallest distance, rad, between a motion and the orbit of a stop."""
+    """Return the clause on the smallest distance, rad, between a motion and the orbit of a stop; `r` is a shortfall."""
     return f"no nearer than {r.gap:.2f} rad to the orbit about {r.content.stops[r.stop].saddle}"
 
 

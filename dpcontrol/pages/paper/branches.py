@@ -32,7 +32,11 @@ _ON_MIRROR = 1e-5  # rad
 
 
 def branches_page(progress: Progress) -> PaperFigure:
-    """Draw first-hit connections of the lab pendulum against energy: homoclinics of both saddles, and heteroclinics."""
+    """Draw connections of the lab pendulum against energy: those of each saddle with itself, and between both.
+
+    They are the connections at the first crossing of their section by both tubes. A search follows them over energy and
+    locates their births and splittings; each has a panel for the angle and one for the momentum at the crossing.
+    """
     diagrams = [
         find_bifurcations(
             Quantity.of_energy(model_named("lab").system),
@@ -74,6 +78,7 @@ def branches_page(progress: Progress) -> PaperFigure:
 
 
 def _angle_branches(axes: Axes, diagram: BifurcationSearch) -> None:
+    """Draw connections by the angle of their section crossing, rad, and energy; the title has saddles and section."""
     coordinate, section = _COORDINATES[diagram.source if diagram.source == diagram.target else "between"]
     axes.set(title=f"{pair_name(diagram)}: on {section}", ylabel=f"{coordinate} (rad)")
     _branches(axes, diagram, 0)
@@ -98,6 +103,13 @@ def _least(diagram: BifurcationSearch) -> str:
 
 
 def _branches(axes: Axes, diagram: BifurcationSearch, coordinate: int) -> None:
+    """Draw each followed connection as a curve over energy, with marks at its births and splittings.
+
+    The height of a curve is the `coordinate` of the connection's first section crossing: 0 for the angle, rad, 1 for
+    the momentum over p₀, the section's momentum scale. A connection of a saddle with itself is symmetric if its angle
+    stays at a multiple of half a turn, which time reversal maps to itself. Above the energy from which trajectories of
+    the tubes scatter, the panel is shaded.
+    """
     homoclinic = diagram.source == diagram.target
     for values, points in diagram.runs:
         symmetric = homoclinic and bool(np.all(np.abs(np.sin(points[:, 0])) < _ON_MIRROR))
@@ -124,6 +136,7 @@ def _wrapped(points: Array) -> Array:
 
 
 def pair_name(diagram: BifurcationSearch) -> str:
+    """Return the saddles of a diagram's connections as text, such as "down-up to itself" or "down-up to up-down"."""
     return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
 
 
@@ -145,7 +158,10 @@ COUNTED = Path(__file__).with_name("passages.json")
 
 
 def transport_page(_: Progress) -> PaperFigure:
-    """Draw the rates of passage through both necks of the lab pendulum against energy."""
+    """Draw the rates of passage through both necks of the lab pendulum against energy, computed and counted.
+
+    A neck is the narrow part of the energy surface at a saddle. The counts are stored in the file `COUNTED`.
+    """
     system, counts = model_named("lab").system, json.loads(COUNTED.read_text(encoding="utf-8"))
     panels = (partial(_rates, system=system, saddle=saddle, counts=counts) for saddle in system.saddles)
     return PaperFigure(
@@ -162,7 +178,11 @@ def transport_page(_: Progress) -> PaperFigure:
 
 
 def _rates(axes: Axes, system: System, saddle: str, counts: list[dict[str, Any]]) -> None:
-    """Draw the rate of a neck from just above its saddle to beyond the last counted energy."""
+    """Draw the rate of passages through a saddle's neck, 1/s, against energy, J, computed and counted.
+
+    The computed rates, 2A/Ω by action and volume, extend from just above the saddle to beyond the last counted energy.
+    Each of `counts` has an energy, J, and for it the mean time between passages with its standard error, s.
+    """
     energies, times, errors = np.array(
         [[c["energy"], c["mean_time"], c["error"]] for c in counts if c["saddle"] == saddle]
     ).T

@@ -61,7 +61,7 @@ def senses_page(_: Progress, *, saddle: str) -> PaperFigure:
 
 
 def cuts_page(progress: Progress) -> PaperFigure:
-    """Draw the cuts of Down-Up's tubes at six energies."""
+    """Draw the first cuts of Down-Up's tubes by the section with the outer arm hanging, θ₂ = 2πk, at six energies."""
     panels: list[Draw] = []
     words = []
     for k, energy in enumerate(CUT_ENERGIES):
@@ -90,7 +90,10 @@ _TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three
 
 
 def heteroclinics_page(_: Progress) -> PaperFigure:
-    """Draw the connections from Down-Up to Up-Down and back at 0.2 J, with their cuts."""
+    """Draw the connections from Down-Up to Up-Down and back at 0.2 J, a row for each direction.
+
+    A row has the cuts of both tubes, with the connections as common points, and some of the flights.
+    """
     atlas = atlas_at(SENSES_ENERGY)
     page = Page(f"Heteroclinic connections between Down-Up and Up-Down at {SENSES_ENERGY:g} J (first hits)")
     counts = []
@@ -155,7 +158,10 @@ _LENGTH = 3
 
 
 def graph_page(_: Progress) -> PaperFigure:
-    """Draw the graphs at -0.07 and 0.2 J."""
+    """Draw the connection graphs at -0.07 and 0.2 J, with orbits as nodes and the numbers of connections at arrows.
+
+    The caption has the number of walks of `_LENGTH` symbols, which are paths along connections of the graph.
+    """
     page, panels, words = Page("The connection graph: every walk on it is an itinerary"), [], []
     for energy in GRAPH_ENERGIES:
         graph = atlas_at(energy).graph()
@@ -179,7 +185,10 @@ _RETURN_FLIGHT = 2.0
 
 
 def returning_search(system: System) -> ConnectionSearch:
-    """Search homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ twice."""
+    """Search homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ twice.
+
+    They are where the unstable tube's first crossing meets the stable tube's second one, counted back from its orbit.
+    """
     orbit = lyapunov_orbit(system, "down-up", energy=SENSES_ENERGY)
     return find_connections(
         orbit,
@@ -191,7 +200,7 @@ def returning_search(system: System) -> ConnectionSearch:
 
 
 def returning_page(_: Progress) -> PaperFigure:
-    """Draw homoclinics of Down-Up that cross θ₁ = θ₂, pass Up-Down's side and return."""
+    """Draw homoclinics of Down-Up that cross θ₁ = θ₂ towards Up-Down's side and return without a turn of an arm."""
     search = returning_search(model_named("lab").system)
     back = [c for c in search.connections if not any(c.winding)]
     page = Page("Homoclinic orbits of Down-Up that return through θ₁ = θ₂ the other way, at 0.2 J")
@@ -210,6 +219,7 @@ def returning_page(_: Progress) -> PaperFigure:
 
 
 def _returning_flights(axes: Axes, search: ConnectionSearch, connections: Sequence[Connection]) -> None:
+    """Draw connections in the plane of the angles, with the section θ₁ = θ₂ and its copy a turn away dotted."""
     for turn in (0, 1):
         axes.axline((0, 2 * np.pi * turn), slope=1, color=style.MARK, linestyle=style.DOTTED, linewidth=0.9, zorder=1)
     single.flights(axes, connections)
@@ -217,7 +227,10 @@ def _returning_flights(axes: Axes, search: ConnectionSearch, connections: Sequen
 
 
 def shadowing_page(_: Progress) -> PaperFigure:
-    """Draw a homoclinic connection and two orbits that shadow it, one of them twice, the other periodically."""
+    """Draw a homoclinic connection of Down-Up and two orbits that shadow it, one of them twice, the other periodically.
+
+    To shadow means to stay close to it, with some wraps about the Lyapunov orbit between two turns.
+    """
     orbit = lyapunov_orbit(model_named("lab").system, "down-up", energy=-0.07)
     search = find_connections(orbit, orbit)
     connection = next(c for c in search.connections if c.symmetric and c.sense > 0)
@@ -302,7 +315,12 @@ def three_body_homoclinics_page(_: Progress) -> PaperFigure:
 
 
 def _rows(page: Page, rows: Sequence[tuple[Atlas, str, str, Extent]]) -> str:
-    """Add tubes, cuts and flights, a row for each (atlas, source, target, extent), and return their counts in words."""
+    """Add tubes, cuts and flights, a row for each (atlas, source, target, extent), and return their counts in words.
+
+    Source and target are saddles, and the extent has the drawn ranges of x and y. Connections that are mirror images
+    share a colour. Of each colour one flight is shown, in total up to four of a saddle with itself, and one between
+    two saddles.
+    """
     words = []
     for letters, (atlas, source, target, extent) in zip(("abc", "def"), rows, strict=True):
         kind, between = kind_of(atlas, source, target), source != target
@@ -334,7 +352,11 @@ def _rows(page: Page, rows: Sequence[tuple[Atlas, str, str, Extent]]) -> str:
 
 
 def _plane(axes: Axes, atlas: Atlas, system: System, extent: Extent, section: str, **motions: Any) -> None:
-    """Draw tubes or flights between the primaries, with the inaccessible region and the section."""
+    """Draw tubes or flights of three bodies in the plane, with primaries, inaccessible region and section.
+
+    `extent` has the ranges of x and y. `section` is "x = 1 - μ", a vertical line through the smaller primary, or else
+    the negative half of the line y = 0. `motions` are further arguments of `draw_motions`: the tubes or flights.
+    """
     draw_motions(axes, atlas, **motions)
     (wide, high), mu = extent, float(system.parameters[0])
     x, y = np.meshgrid(np.linspace(*wide, 300), np.linspace(*high, 300))

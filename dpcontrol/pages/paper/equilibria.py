@@ -24,7 +24,10 @@ _REACHED, _FORBIDDEN = "#dbe9f6", "#8d959e"
 
 
 def landscape_page(_: Progress) -> PaperFigure:
-    """Draw potential energies and Hill's regions at four energies, of three bodies and of the pendulum."""
+    """Draw potential energies and Hill's regions at four energies, of three bodies and of the pendulum.
+
+    Hill's region of an energy has the positions whose energy at rest is not larger; a motion of the energy stays in it.
+    """
     page = Page("Energy landscapes and Hill's regions: higher energies open more saddles")
     words = []
     for name, energies in LANDSCAPES.items():
@@ -60,11 +63,16 @@ def landscape_page(_: Progress) -> PaperFigure:
 
 
 Points = dict[str, tuple[Array, float, str]]
+"""Place (2,), energy and kind of each equilibrium, by name."""
 Field = tuple[Array, Array, Array]
+"""Both coordinates and the energy at rest, each on the same grid."""
 
 
 def _landscape(axes: Axes, system: System, field: Field) -> None:
-    """Draw the potential energy over the plane of two coordinates."""
+    """Draw the potential energy over the plane of two coordinates, with a bar of its scale.
+
+    Systems in SI units are pendulums, other ones are three bodies.
+    """
     first, second, potential = field
     # The wells of the primaries are bottomless, so the scale is cut below the saddles' energies.
     shown = np.maximum(potential, potential.min() if system.si else -1.62)
@@ -76,6 +84,10 @@ def _landscape(axes: Axes, system: System, field: Field) -> None:
 
 
 def _hill(axes: Axes, system: System, field: Field, energy: float, points: Points) -> None:
+    """Draw Hill's region of an energy, where the energy at rest is lower, and mark the equilibria that it reaches.
+
+    Squares are saddles of index 1, the circle is the stable equilibrium, and triangles are the others.
+    """
     # At collisions of two bodies the energy has no lower bound.
     potential = np.maximum(field[2], -10.0)
     levels = [potential.min() - 1, energy, potential.max() + 1]
@@ -102,7 +114,7 @@ _SIZES = (0.002, 0.02, 0.06, 0.12, 0.2)
 
 
 def lyapunov_orbits_page(_: Progress) -> PaperFigure:
-    """Draw Lyapunov orbits about both saddles in both phase planes."""
+    """Draw Lyapunov orbits of the lab pendulum in the phase plane of either arm, a row for each of two saddles."""
     system = model_named("lab").system
     page = Page("Lyapunov orbits of the lab pendulum, in the phase plane of either arm")
     for saddle in ("down-up", "up-down"):
@@ -119,7 +131,10 @@ def lyapunov_orbits_page(_: Progress) -> PaperFigure:
 
 
 def _orbits(axes: Axes, orbits: Sequence[LyapunovOrbit], arm: int) -> None:
-    """Draw orbits in the phase plane of an arm; in the inner arm's plane they are labelled with their energies."""
+    """Draw orbits about a saddle in the phase plane of an arm, 0 or 1, whose angle and rate are columns of the states.
+
+    In the plane of arm 0, the inner one, the orbits are labelled with their energies.
+    """
     saddle, system = orbits[0].saddle, orbits[0].system
     for orbit, colour in zip(orbits, style.SERIES, strict=False):
         axes.plot(*orbit.sample(400)[:, [arm, 2 + arm]].T, color=colour, linewidth=1.4)
@@ -136,9 +151,14 @@ _FALL = 60.0
 
 
 def up_up_states(system: System) -> Array:
-    """Return the states (K, N) of the first crossings of θ₂ = 2πk on Up-Up's unstable manifold."""
+    """Return the states (K, N) of the first crossings of θ₂ = 2πk on Up-Up's unstable manifold.
+
+    Trajectories start close to Up-Up in all directions of its unstable plane, which the eigenvectors of the two
+    growing directions span. Those that do not cross the section in time are left out.
+    """
     top = system.equilibria["up-up"]
     values, vectors = np.linalg.eig(system.numeric.jacobian(top))
+    # The two growing directions, the slow one first.
     rising = np.argsort(np.real(values))[-2:]
     plane = np.real(vectors[:, rising]) / np.linalg.norm(np.real(vectors[:, rising]), axis=0)
     # The slow direction grows less until the fast one has left; a logarithmic scale covers all ratios of both.
@@ -176,7 +196,11 @@ def up_up_page(_: Progress) -> PaperFigure:
 
 
 def _manifolds(axes: Axes, points: Array, sense: Array, way: int) -> None:
-    """Draw points where both manifolds cross the section in one direction."""
+    """Draw points where both manifolds of Up-Up cross the section in the direction `way`, 1 rising and -1 falling.
+
+    `points` (K, 2) are θ₁, rad, and momentum over its scale p₀ where the unstable manifold crosses, and `sense` (K,)
+    are the directions of these crossings.
+    """
     q = (points[:, 0] + np.pi) % (2 * np.pi) - np.pi
     # Time reversal changes the sign of momenta and of the crossing.
     for sign, colour in ((1, style.UNSTABLE), (-1, style.STABLE)):
