@@ -15,17 +15,11 @@ from pathlib import Path
 
 from generated_scenes import Scene
 from independent_decoder import plan_of
-from independent_orbits import unkept_orbits
-from independent_planner import missing_transfers
-from independent_tubes import missing_connections
 from verdict_runs import disagreement, runs
 
 from dpcontrol.judge.score import verdict_on
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.references.reference import load_reference
-
-ATTEMPTS = 8
-"""Initial guesses of the independent planner for each transfer of a refused scene."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +70,3 @@ def flown_scene(scene: Scene, folder: Path, *, seeds: Sequence[int]) -> list[Fli
         for case in runs(itinerary, reference, {}, list(seeds))
         for verdict in (verdict_on(case.flown, reference),)
     ]
-
-
-def unfound(file: Path) -> tuple[str, ...]:
-    """Return what a refused itinerary asks for and independent searches do not find either; takes minutes."""
-    return (*missing_connections(file), *unkept_orbits(file), *missing_transfers(file, attempts=ATTEMPTS))

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from generated_scenes import Scene, sampled_scene
 from ordinary_labs import sampled_lab
-from scene_flights import flown_scene, planned_scene, unfound
+from scene_flights import flown_scene, planned_scene
 
 from dpcontrol.plans.cautions import cautions_of
 from dpcontrol.plans.itinerary import load_itinerary
@@ -30,13 +30,12 @@ LIMIT = 240.0
 
 @dataclass(frozen=True)
 class SceneRow:
-    """A scene with the outcome of its planning, what independent searches do not find, its cautions and its runs."""
+    """A scene with the outcome of its planning, its cautions and its runs."""
 
     seed: int
     factors: dict[str, float | str]
     outcome: str
     reason: str
-    unfound: tuple[str, ...] = ()
     cautions: dict[str, float] = field(default_factory=dict)
     runs: int = 0
     completed: int = 0
@@ -55,7 +54,7 @@ def scene_row(scene: Scene, folder: Path, runs: int) -> SceneRow:
     planned = planned_scene(scene, folder, limit=LIMIT)
     row = SceneRow(scene.seed, scene.factors, planned.outcome, planned.reason)
     if planned.outcome != "planned":
-        return replace(row, unfound=unfound(folder / f"{scene.name}.toml"))
+        return row
     path, first = folder / scene.name, 1000 * scene.seed
     cautions = cautions_of(load_itinerary(f"{path}.toml"), load_reference(path.with_suffix(".npz")))
     flown = flown_scene(scene, folder, seeds=range(first, first + runs))
