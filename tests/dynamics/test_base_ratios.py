@@ -91,13 +91,6 @@ def test_the_nearest_arms_agree_with_constrained_minimisation() -> None:
     assert distance == pytest.approx(found.fun, rel=1e-3, abs=MINIMISED)
 
 
-def test_friction_laws_are_added_at_zero_and_removed() -> None:
-    plain = with_laws(LAB, ())
-    assert plain.friction == ()
-    assert with_laws(plain, (Friction.QUADRATIC,)).quadratic == (0.0, 0.0)
-    assert with_laws(LAB, tuple(Friction)) == LAB
-
-
 def test_ratios_of_friction_below_zero_become_zero_and_those_of_no_pendulum_are_refused() -> None:
     wanted = base_ratios(LAB)
     wanted[4] = -0.1

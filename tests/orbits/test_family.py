@@ -10,7 +10,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.causes import FamilyEndCause
 from dpcontrol.orbits.family import FollowingSettings, lyapunov_family
-from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit
+from dpcontrol.orbits.lyapunov import equilibrium
 from tests.reference_values import LYAPUNOV_ORBITS
 
 STATE = 1e-9  # required; about 1e-12 is achieved
@@ -57,14 +57,6 @@ def test_energy_and_period_grow_together_and_multipliers_stay_reciprocal(familie
     assert np.abs(products - 1).max() < RECIPROCAL
 
 
-def test_members_agree_with_continuation_in_energy(families, system):
-    family = families["down-up"]
-    for member in family.members[10::15]:
-        alone = lyapunov_orbit(system, "down-up", energy=member.energy)
-        assert np.abs(alone.state - member.state).max() < STATE
-        assert alone.period == pytest.approx(member.period, abs=STATE)
-
-
 def test_the_member_at_a_bound_is_the_reference_orbit(system):
     family = lyapunov_family(system, "down-up", energies=(-0.07, 0.2))
     assert [end.cause for end in family.ends] == [FamilyEndCause.ENERGY_BOUND] * 2
@@ -74,12 +66,6 @@ def test_the_member_at_a_bound_is_the_reference_orbit(system):
         assert np.abs(member.state - state).max() < STATE
         assert member.period == pytest.approx(period, abs=STATE)
         assert member.unstable_multiplier == pytest.approx(multiplier, rel=1e-8)
-
-
-def test_the_family_is_independent_of_the_step(families, system):
-    coarse = lyapunov_family(system, "down-up", energies=(-1.0, 0.2), settings=FollowingSettings(step=0.12))
-    assert len(coarse.members) < len(families["down-up"].members)
-    assert np.abs(coarse.members[-1].state - LYAPUNOV_ORBITS["lab", "down-up", 0.2][0]).max() < STATE
 
 
 def hill_system(growth, coupling):

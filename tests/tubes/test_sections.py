@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from quick_rate import flown_by_scipy
 
 from dpcontrol.orbits.cut import CutSettings
 from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.intersections import ConnectionSettings
-from tests.tubes.test_connections import flown_by_scipy, on_torus
+from tests.tubes.test_connections import on_torus
 
 RESIDUAL = 1e-11
 SAME = 1e-7  # two integrations of half a second, and a crossing found by scipy
