@@ -1,4 +1,4 @@
-"""Where references end: friction, track and acceleration, for a turn and a crossing; the table, and a picture of it.
+"""Where references end: friction, track and acceleration, for a turn and a crossing; and a picture of it.
 
     pytest -m benchmark tests/benchmarks/test_reference_edges.py -s
 
@@ -7,7 +7,6 @@ takes without limits, by moving the cart more quickly to and fro; of the acceler
 """
 
 import os
-import sys
 from dataclasses import replace
 from functools import partial
 
@@ -91,11 +90,6 @@ def drawn(edges):
 @pytest.mark.benchmark
 def test_the_edges_of_references():
     edges = {name: edges_of(name) for name in NAMES}
-    for name, (rows, takes) in edges.items():
-        for kind, row in rows.items():
-            sys.stdout.write(f"\n{name}, {kind}, taken without limits: {takes.get(kind, 0.0):.4g}\n")
-            for value, good, rms in row:
-                sys.stdout.write(f"  {value:8.4g}  {f'{rms:.4f} m/s² rms' if good else 'none'}\n")
     if "DPCONTROL_EDGES_PICTURE" in os.environ:
         save_figure(drawn(edges), os.environ["DPCONTROL_EDGES_PICTURE"])
     for rows, takes in edges.values():
