@@ -84,7 +84,7 @@ def posterior_error(reference: Reference, arms: ArmChainParameters, loop: LoopSe
     # With relative encoders, each absolute angle is the sum of its reading and all inner ones.
     summed = np.tril(np.ones((n, n)))
     by_zeros = np.tile(summed, (TICKS + 1, 1))
-    count = loop.sensors.steps[0]
+    count = loop.sensors.steps(n)[0]
     rounding = np.random.default_rng(loop.seed).uniform(-0.5, 0.5, (TICKS + 1, n)) * count @ summed.T
     noise = np.kron(np.eye(TICKS + 1), summed @ summed.T) * count**2 / 12
     start, rates, parts = by_state[:, :n], by_state[:, n:], np.column_stack(by_arms)
