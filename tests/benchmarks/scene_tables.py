@@ -65,13 +65,7 @@ class SceneRow:
 
 
 def scene_row(scene: Scene, folder: Path, runs: int) -> SceneRow:
-    """Plan a scene, list its cautions, fly it, judge each run by its score and the independent decoder, and sum up.
-
-    Args:
-        scene: scene to write, plan and fly.
-        folder: folder of its files.
-        runs: number of runs, whose seeds begin at 1000 times the scene's.
-    """
+    """Plan a scene, list its cautions, fly it, judge each run by its score and the independent decoder, and sum up."""
     outcome, reason = planned_scene(scene, folder)
     row = SceneRow(scene.seed, scene.factors, outcome, reason)
     if outcome != "planned":
@@ -94,13 +88,7 @@ def scene_row(scene: Scene, folder: Path, runs: int) -> SceneRow:
 
 
 def share_line(name: str, successes: Sequence[int], runs: Sequence[int]) -> str:
-    """Return a line of the table: scenes, those that complete all, runs, their share and its lower end.
-
-    Args:
-        name: name of the line.
-        successes: successful runs (S,) of each scene.
-        runs: all runs (S,) of each scene.
-    """
+    """Return a line of the table: scenes, those that complete all, runs, their share and its lower end."""
     good, most = np.array(successes), np.array(runs)
     if not len(good):
         return f"| {name} | 0 | | | | |"
@@ -111,11 +99,7 @@ def share_line(name: str, successes: Sequence[int], runs: Sequence[int]) -> str:
 
 
 def table(rows: Sequence[SceneRow]) -> str:
-    """Return the lines of the table and a sentence about the cautions.
-
-    Args:
-        rows: rows of `scene_row`.
-    """
+    """Return the lines of the table and a sentence about the cautions."""
     flown = [row for row in rows if row.outcome == "planned"]
     warned, silent = ([row for row in flown if bool(row.cautions) is wanted] for wanted in (True, False))
     low = [row for row in flown if row.completed < 0.9 * row.runs]

@@ -1,12 +1,11 @@
 """Generated scenes are planned, flown and completed; `scene_tables.py` does the same for as many as wanted."""
 
-import sys
 from pathlib import Path
 
 import pytest
 from generated_scenes import sampled_scene
 from independent_decoder import last_gap, plan_of
-from scene_tables import scene_row, table
+from scene_tables import scene_row
 from scipy.stats import binom
 
 from dpcontrol.plans.itinerary import load_itinerary
@@ -32,7 +31,6 @@ def test_the_files_of_forty_scenes_are_accepted_and_reproducible(tmp_path: Path)
 @pytest.mark.slow
 def test_three_generated_scenes_are_planned_and_completed(tmp_path: Path) -> None:
     rows = [scene_row(sampled_scene(seed), tmp_path, runs=SLOW_RUNS) for seed in SLOW_SCENES]
-    sys.stdout.write(f"\n{table(rows)}\n")
     assert not any(row.false_verdicts for row in rows)
     ready = sum(row.outcome == "planned" for row in rows)
     assert ready >= PLANNED * len(rows), f"{ready} of {len(rows)} scenes were planned"

@@ -1,8 +1,6 @@
 """Verbs of models, orbits, connections and plans against values computed independently."""
 
-import os
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -80,18 +78,3 @@ def test_a_connection_flies_between_its_orbits_in_its_times_with_its_winding(sea
             assert APPROACH[0] <= distance <= APPROACH[1], connection["name"]
             lifts.append(turns)
         np.testing.assert_array_equal(lifts[1] - lifts[0], connection["winding"])
-
-
-def test_a_plan_is_cached_computed_again_on_demand_and_written_as_arrays(tmp_path: Path) -> None:
-    made = dpcontrol("plan", "hold-down-down", "--fresh", "--json").document
-    assert made["cached"] is False
-    assert Path(made["file"]).is_relative_to(os.environ["DPCONTROL_CACHE"])
-    found = dpcontrol("plan", "hold-down-down", "--json").document
-    assert found["cached"] is True
-    for shown in (made, found):
-        del shown["cached"], shown["reference"]["solve_seconds"]
-    assert found == made
-    file = tmp_path / "hold.npz"
-    assert dpcontrol("plan", "hold-down-down", "--out", file, "--json").document["file"] == str(file)
-    with np.load(file) as arrays:
-        assert "states" in arrays.files

@@ -11,8 +11,6 @@ from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.runs.run import run_plan
 
 RESIDUAL = 1e-11
-ON_THE_ORBIT = 1e-6
-"""Scaled distance after two wobbles of lead: λ^-2 is 3e-6 at -0.07 J of what is left at 1e-3 of the orbit."""
 JOURNEYS = {
     # Saddles at the stops, and whole turns of both arms from the first named position to the last.
     "triple-turn": (["down-up"] * 4, [0, 3]),
@@ -40,18 +38,11 @@ def test_a_shipped_itinerary_is_followed_by_an_orbit_with_its_stops_turns_and_wr
     assert orbit.wraps_realised == itinerary.wraps
     assert [chain[0].source.saddle, *(c.target.saddle for c in chain)] == stops
     assert len(itinerary.walk) == len(stops) - 1
-    system = itinerary.model.system
     first, last = orbit.states(np.array([0.0, orbit.duration]))
     # Both ends have the same phase of the orbit, so they differ by whole turns.
     if turns is not None:
         change = (last - first)[:2] / (2 * np.pi)
         assert np.rint(change).tolist() == turns
-    for state, saddle, offset in ((first, stops[0], orbit.offsets[0]), (last, stops[-1], orbit.offsets[-1])):
-        orbits = [o for c in chain for o in (c.source, c.target) if o.saddle == saddle]
-        times = np.linspace(0.0, orbits[0].period, 20_001)
-        curve = system.propagator.sample(orbits[0].state, times) + offset * system.turn_lengths
-        apart = np.abs(curve - state).max(axis=1).min()
-        assert apart < 2 * np.pi * 10 / 20_000 + ON_THE_ORBIT
 
 
 def test_a_repeated_walk_is_done_so_often_with_the_last_wrap_between_rounds(tmp_path: Path) -> None:
