@@ -54,7 +54,6 @@ class SceneRow:
     """A scene with the outcome of its planning, its cautions and its runs."""
 
     seed: int
-    factors: dict[str, float | str]
     outcome: str
     reason: str
     cautions: dict[str, float] = field(default_factory=dict)
@@ -67,7 +66,7 @@ class SceneRow:
 def scene_row(scene: Scene, folder: Path, runs: int) -> SceneRow:
     """Plan a scene, list its cautions, fly it, judge each run by its score and the independent decoder, and sum up."""
     outcome, reason = planned_scene(scene, folder)
-    row = SceneRow(scene.seed, scene.factors, outcome, reason)
+    row = SceneRow(scene.seed, outcome, reason)
     if outcome != "planned":
         return row
     path, first = folder / scene.name, 1000 * scene.seed
