@@ -41,7 +41,7 @@ from dpcontrol.pages.orbits import draw_family
 from dpcontrol.pages.page import draw, draw_comparison
 from dpcontrol.pages.walks import draw_walk
 from dpcontrol.plans.atlas import make_atlas
-from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.itinerary import itinerary_from, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.recordings.recording import simulated_recording
@@ -222,12 +222,10 @@ def identification(_: Path) -> Figure:
     return draw_identification(found, title="lab from one recording")
 
 
-def transitions(folder: Path) -> Figure:
+def transitions(_: Path) -> Figure:
     parts = "".join(f'[[parts]]\nhold = "{name}"\nseconds = 0.5\n' for name in ("down-down", "down-up", "down-down"))
-    file = folder / "tour.toml"
-    file.write_text(f'model = "lab"\nstart = "rest"\nfinish = "rest"\n{parts}{FEW_GUESSES}')
-    plan = make_plan(load_itinerary(str(file)))
-    return draw_transitions(plan.reference)
+    text = f'start = "rest"\nfinish = "rest"\n{parts}{FEW_GUESSES}'
+    return draw_transitions(make_plan(itinerary_from(text, "tour", LAB)).reference)
 
 
 QUICK = (campaign,)

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from dpcontrol.foundation.causes import CautionCause
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.plans.authority import connection_loss, peak_gains
 from dpcontrol.plans.cautions import REHEARSED, Caution, cautions_of, figures_of, hidden_angles
-from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.itinerary import Itinerary, itinerary_from, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.plans.planning import shadowing_orbit
@@ -130,17 +129,15 @@ def test_mirror_images_of_a_connection_ask_for_the_same_gains() -> None:
     assert losses[1] == pytest.approx(losses[-1], rel=MIRRORED)
 
 
-CROSSING = 'model = "lab"\nenergy = {energy}\nwalk = ["down-up > up-down"]\n'
+def crossing(energy: object) -> Itinerary:
+    return itinerary_from(f'energy = {energy}\nwalk = ["down-up > up-down"]\n', "crossing", load_model("lab"))
 
 
 @pytest.mark.slow
-def test_an_energy_without_the_connection_is_refused_with_one_that_has_it(tmp_path: Path) -> None:
-    file = tmp_path / "crossing.toml"
-    file.write_text(CROSSING.format(energy=0.178))
+def test_an_energy_without_the_connection_is_refused_with_one_that_has_it() -> None:
     with pytest.raises(InputError) as refused:
-        shadowing_orbit(refusing := load_itinerary(str(file)), refusing.walks[0])
+        shadowing_orbit(refusing := crossing(0.178), refusing.walks[0])
     advised = re.search(r"at (\S+) J there are connections for each symbol$", str(refused.value))
     assert advised is not None, str(refused.value)
-    file.write_text(CROSSING.format(energy=advised[1]))
-    itinerary = load_itinerary(str(file))
+    itinerary = crossing(advised[1])
     assert shadowing_orbit(itinerary, itinerary.walks[0]).converged
