@@ -7,52 +7,34 @@ import numpy as np
 from numpy.typing import NDArray
 from reference_values import LYAPUNOV_ORBITS
 from scipy.integrate import solve_ivp
+from shadowing_stand_in import LAB
 from textbook import TwoArms
 
 Array = NDArray[np.float64]
 
-PARAMETERS = {
-    "lab": {
-        "m1": 0.0938439747983407,
-        "m2": 0.137595970499412,
-        "a1": 0.108565214610396,
-        "a2": 0.116779018445656,
-        "l1": 0.172719203817519,
-        "J1": 0.00043752942975691,
-        "J2": 0.00126882939257741,
-        "g": 9.8085802336215,
-        "k1": 0.000237142782693581,
-        "k2": 1.00000019330558e-05,
-    },
-    "printed": {
-        "m1": 0.0938,
-        "m2": 0.1376,
-        "a1": 0.1086,
-        "a2": 0.1168,
-        "l1": 0.1727,
-        "J1": 0.0001,
-        "J2": 0.0001,
-        "g": 9.808,
-        "k1": 0.0,
-        "k2": 0.0,
-    },
-}
-"""The rig's identified values, and those of the paper's text."""
+PRINTED = SimpleNamespace(
+    mass=(0.0938, 0.1376),
+    centre_of_mass=(0.1086, 0.1168),
+    length=(0.1727,),
+    inertia=(0.0001, 0.0001),
+    gravity=9.808,
+    viscous=(0.0, 0.0),
+)
+PARAMETERS = {"lab": LAB, "printed": PRINTED}
+"""The rig's identified values, and those of the paper's text, which has no length of the outer arm."""
+LETTERS = {"m": "mass", "a": "centre_of_mass", "J": "inertia", "k": "viscous"}
 
 SADDLES = {"down-up": np.array([0.0, np.pi]), "up-down": np.array([np.pi, 0.0])}
 SCALE = np.array([np.pi, np.pi, 10.0, 10.0])
 
-_LETTERS = {"mass": "m", "centre_of_mass": "a", "inertia": "J"}
-_VALUES = PARAMETERS["lab"]
-_PAIRS = {name: (_VALUES[f"{letter}1"], _VALUES[f"{letter}2"]) for name, letter in _LETTERS.items()}
-_LAB = TwoArms(SimpleNamespace(**_PAIRS, length=(_VALUES["l1"],), gravity=_VALUES["g"]))
+_ARMS = TwoArms(LAB)
 
 
 def flow(state: Array, duration: float, points: int = 2) -> Array:
     """Return states (points, 4) at equal steps from 0 to `duration`, which may be negative."""
     times = np.linspace(0.0, duration, points)
     done = solve_ivp(
-        lambda _, x: _LAB.slope(x), (0.0, duration), state, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-13
+        lambda _, x: _ARMS.slope(x), (0.0, duration), state, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-13
     )
     return done.y.T
 

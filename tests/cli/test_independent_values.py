@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import dpcontrol
-from independent_pendulum import PARAMETERS, SADDLES, SCALE, flow, lyapunov_orbit
+from independent_pendulum import LETTERS, PARAMETERS, SADDLES, SCALE, flow, lyapunov_orbit
 from reference_values import CONNECTIONS, LYAPUNOV_ORBITS
 
 EFFORT = 0.02
@@ -25,7 +25,9 @@ UNITS = {
 def test_parameters_are_the_sources_values_with_si_units(model: str) -> None:
     shown = dpcontrol("model", model, "--json").document["parameters"]
     assert {name: entry["unit"] for name, entry in shown.items()} == UNITS
-    for name, value in PARAMETERS[model].items():
+    arms = PARAMETERS[model]
+    pairs = {f"{letter}{i + 1}": getattr(arms, name)[i] for letter, name in LETTERS.items() for i in range(2)}
+    for name, value in (pairs | {"l1": arms.length[0], "g": arms.gravity}).items():
         assert shown[name]["value"] == value, name
 
 
