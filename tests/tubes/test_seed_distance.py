@@ -60,13 +60,6 @@ def test_the_default_distance_is_near_the_optimum(chart):
     assert chart[DISTANCES.index(default)] < 3 * chart.min()
 
 
-@pytest.mark.slow
-def test_errors_grow_on_both_sides_like_rounding_and_truncation(chart):
-    assert chart[0] > 5 * chart.min(), "rounding, which falls as the distance grows"
-    growth = np.log(chart[-1] / chart[-2]) / np.log(DISTANCES[-1] / DISTANCES[-2])
-    assert 1.5 < growth < 3.5, "truncation, a power of the distance"
-
-
 @pytest.mark.parametrize("distance", [DISTANCES[0], DISTANCES[-1]])
 def test_refined_connections_are_independent_of_the_distance(distance):
     key = CHARTED[0]
