@@ -15,6 +15,7 @@ import dpcontrol as dp
 from dpcontrol.foundation.shown import Shown
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.runs import preflight
+from tests.pages.test_legibility import problems
 from tests.pages.test_night import night
 
 FLOWN = 1e-7
@@ -122,6 +123,12 @@ def test_a_result_prints_one_line_draws_onto_axes_and_gives_json(results: dict[s
 def test_a_result_of_many_runs_prints_one_line_and_draws(slow_results: dict[str, Any]) -> None:
     for result in slow_results.values():
         shows_itself(result)
+
+
+@pytest.mark.slow
+def test_the_page_of_each_result_is_legible_in_print(results: dict[str, Any], slow_results: dict[str, Any]) -> None:
+    found = {type(one).__name__: problems(one.plot()) for one in (*results.values(), *slow_results.values())}
+    assert {name: problem for name, problem in found.items() if problem} == {}
 
 
 @pytest.mark.parametrize("name", TIMED)
