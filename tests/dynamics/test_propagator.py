@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.propagator import PolynomialInputPropagator
-from dpcontrol.plans.model import load_model
 
 DOP853 = 1e-9  # error of scipy's DOP853 at 1e-12 over a second of this motion
 SYMPLECTIC = 1e-11
@@ -17,13 +16,8 @@ STATE = np.array([0.4, 2.9, 6.0, -3.0])
 
 
 @pytest.fixture(scope="module")
-def lab():
-    return load_model("lab")
-
-
-@pytest.fixture(scope="module")
-def pendulum(lab):
-    return lab.system.propagator
+def pendulum(system):
+    return system.propagator
 
 
 def by_scipy(equations, parameters, state, duration, inputs=()):

@@ -18,18 +18,13 @@ APPROACH = 1e-5  # s and phase: the first approach is located on a distance with
 
 
 @pytest.fixture(scope="module")
-def model():
-    return load_model("lab")
+def high(lab):
+    return compute_atlas(lab, 0.2, settings=AtlasSettings())
 
 
 @pytest.fixture(scope="module")
-def high(model):
-    return compute_atlas(model, 0.2, settings=AtlasSettings())
-
-
-@pytest.fixture(scope="module")
-def low(model):
-    return compute_atlas(model, -0.07, settings=AtlasSettings())
+def low(lab):
+    return compute_atlas(lab, -0.07, settings=AtlasSettings())
 
 
 def test_below_up_downs_energy_there_are_only_down_ups_homoclinics_with_the_reason(low):
@@ -41,11 +36,11 @@ def test_below_up_downs_energy_there_are_only_down_ups_homoclinics_with_the_reas
 
 
 @pytest.mark.slow
-def test_flights_pass_the_section_at_time_zero_and_follow_the_equations(model, high):
+def test_flights_pass_the_section_at_time_zero_and_follow_the_equations(lab, high):
     for c in high.connections:
         for seconds in (-0.7 * c.time_out, 0.0, c.time_in):
             k = int(np.searchsorted(c.times, seconds))
-            assert np.abs(flown_by_scipy(model.system, c.state, c.times[k]) - c.states[k]).max() < FLIGHT
+            assert np.abs(flown_by_scipy(lab.system, c.state, c.times[k]) - c.states[k]).max() < FLIGHT
         assert c.times[0] < -c.time_out
         assert c.times[-1] > c.time_in
 

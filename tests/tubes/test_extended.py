@@ -11,7 +11,6 @@ from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.propagator import ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.foundation.causes import RefinementCause
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
@@ -29,11 +28,6 @@ REFINED = [
     pytest.param(("down-up", "down-up", 0.2, 2), marks=pytest.mark.slow),
     pytest.param(("up-down", "up-down", 0.2, 2), marks=pytest.mark.slow),
 ]
-
-
-@pytest.fixture(scope="module")
-def lab():
-    return load_model("lab")
 
 
 @pytest.fixture(scope="module")

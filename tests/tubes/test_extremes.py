@@ -10,7 +10,6 @@ from dpcontrol.foundation.causes import OpenEndCause
 from dpcontrol.orbits.cut import tube_cut
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
-from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.extended import refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
 
@@ -20,11 +19,6 @@ RESIDUAL = 1e-11
 AREA = 3e-5  # relative; the cut is an ellipse up to terms in the energy above the saddle
 TOUCH = 1e-4  # rad: distance from the section next to a grazing phase
 NEAR_ORBIT = 2e-6
-
-
-@pytest.fixture(scope="module")
-def lab():
-    return load_model("lab")
 
 
 @pytest.mark.parametrize("saddle", ["down-up", "up-down"])
