@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -95,12 +94,6 @@ def disagreement(case: Case, reference: Reference, plan: Plan) -> str:
     return f"{case.text}: the score says {verdict.reason!r}, the other decoder {found or 'completed'}"
 
 
-@cache
-def judged_plan(reference: Reference, rate: float, limits: tuple[float, float, float]) -> Plan:
-    """Return the plan in the other decoder's form, with the limits of a run."""
-    return plan_of(reference, rate, limits)
-
-
 # Wrong runs.
 
 
@@ -160,10 +153,10 @@ class Comparison:
 
     def add(self, plan: Any, options: Mapping[str, Any], seeds: list[int], random: np.random.Generator) -> None:
         """Simulate these seeds of a plan, and failed runs derived from the first completed one."""
-        reference, made = plan.reference, False
+        reference, made, read = plan.reference, False, None
         for case in runs(plan.itinerary, reference, options, seeds):
             assert case.flown.limits is not None
-            read = judged_plan(reference, case.flown.rate_hz, case.flown.limits)
+            read = read or plan_of(reference, case.flown.rate_hz, case.flown.limits)
             self.runs += 1
             if text := disagreement(case, reference, read):
                 self.false.append(f"{plan.itinerary.name}, {text}")
