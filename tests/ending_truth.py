@@ -85,9 +85,7 @@ def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) ->
     due = tuple(symbol.time for symbol in reference.content.symbols)
     out = []
     for seed, run, estimate in zip(seeds, runs, estimates, strict=True):
-        end = None if run.ending is Ending.FINISHED else run.end
-        flown = Flown(run.times, run.truth, run.references, run.applied, loop.rate, bounds, end)
-        verdict = verdict_on(flown, reference)
+        verdict = verdict_on(Flown.of(run, rate_hz=loop.rate, limits=limits), reference)
         out.append(Flight(itinerary.name, seed, loop, run, estimate, verdict, bounds, due))
     return out
 
