@@ -1,14 +1,13 @@
 """Results sample, draw, tabulate and print themselves."""
 
 import json
-import pkgutil
-from importlib import import_module
 from itertools import islice
 from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from result_attributes import by_name
 from scipy.integrate import solve_ivp
 
 import dpcontrol as dp
@@ -83,19 +82,12 @@ def slow_results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 TIMED = ("orbit", "rotating orbit", "connection", "walk", "plan", "loop", "run", "recording", "flight")
-BASES = {"Shown", "Timed", "Family", "HyperbolicOrbit", "Periodic", "PeriodicOrbit"}
-
-
-def subclasses(kind: type) -> set[type]:
-    return {kind}.union(*(subclasses(one) for one in kind.__subclasses__()))
+BASES = {"Timed", "Family", "HyperbolicOrbit", "Periodic", "PeriodicOrbit"}
 
 
 @pytest.mark.slow
 def test_each_class_that_can_draw_itself_is_tried_here(results: dict[str, Any], slow_results: dict[str, Any]) -> None:
-    for module in pkgutil.walk_packages(dp.__path__, "dpcontrol."):
-        if module.name.rpartition(".")[2] != "__main__" and ".examples" not in module.name:
-            import_module(module.name)
-    shown = {one.__qualname__ for one in subclasses(Shown)} - BASES
+    shown = {name for name, kind in by_name().items() if issubclass(kind, Shown)} - BASES
     assert {type(one).__qualname__ for one in (*results.values(), *slow_results.values())} == shown
 
 
