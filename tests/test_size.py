@@ -151,7 +151,6 @@ USES = {
     "foundation/guide.py": "the list of pages in the guide's README",
     "foundation/toml.py": "the line of a TOML error, which Python 3.13 gives in its text only",
     "logs/recovery.py": "the beginning of a damaged file, and names of interrupted logs",
-    "logs/rewritten.py": "URDF and message definitions in logs of other programs",
     "proofs/balls.py": "decimal numbers of a certificate",
     "recordings/bags.py": "names of fields and message definitions in bags",
     "recordings/importing.py": "numbers and paths of variables in a laboratory's tables",
