@@ -11,7 +11,7 @@ from dpcontrol.plans.model import load_model
 from dpcontrol.tubes import intersections
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts, near_touches, polyline_crossings
-from tests.reference_values import CONNECTIONS
+from tests.reference_values import CONNECTIONS, images, on_torus
 from tests.uniform_rods import uniform_rods
 
 STATE = 1e-9  # required; about 1e-12 is achieved
@@ -31,23 +31,12 @@ def found():
     return {key: search(key) for key in CONNECTIONS}
 
 
-def on_torus(first, second):
-    """Largest difference of states, with angles modulo a turn."""
-    gap = np.asarray(first) - np.asarray(second)
-    return max(np.abs(2 * np.sin(gap[:2] / 2)).max(), np.abs(gap[2:]).max())
-
-
 @pytest.mark.parametrize("key", CONNECTIONS, ids=str)
 def test_all_reference_connections_and_their_images_are_found(found, key):
-    count, states = CONNECTIONS[key]
     connections = found[key].connections
-    assert len(connections) == count
+    assert len(connections) == CONNECTIONS[key][0]
     assert max(c.residual for c in connections) <= RESIDUAL
-    images = [np.array(s) for s in states]
-    if key[0] == key[1]:
-        images += [x * [-1, -1, 1, 1] for x in images if np.abs(x[:2]).max() > 0]
-    images += [-x for x in images]
-    for image in images:
+    for image in images(key):
         assert min(on_torus(c.state, image) for c in connections) < STATE
 
 

@@ -13,7 +13,7 @@ from dpcontrol.foundation.causes import RefinementCause
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
+from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS, on_torus
 
 RESIDUAL = 1e-20  # required; about 1e-31 is achieved
 AGREES = 1e-10  # difference from the double state; about 1e-13 is achieved
@@ -36,11 +36,7 @@ def found(lab):
 
 
 def nearest(connections, state):
-    def distance(c):
-        gap = c.state - np.asarray(state)
-        return max(np.abs(2 * np.sin(gap[:2] / 2)).max(), np.abs(gap[2:]).max())
-
-    return min(connections, key=distance)
+    return min(connections, key=lambda c: on_torus(c.state, state))
 
 
 REFINED_ONCE = {}

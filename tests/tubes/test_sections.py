@@ -7,7 +7,7 @@ from quick_rate import flown_by_scipy
 from dpcontrol.orbits.cut import CutSettings
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.intersections import ConnectionSettings
-from tests.tubes.test_connections import on_torus
+from tests.reference_values import on_torus
 
 RESIDUAL = 1e-11
 SAME = 1e-7  # two integrations of half a second, and a crossing found by scipy
