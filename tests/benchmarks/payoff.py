@@ -1,6 +1,6 @@
 """What tubes buy: flights found along tubes, and by direct optimisation without them.
 
-    python tests/benchmarks/payoff.py            # minutes on two cores; --quick stores nothing
+    python tests/benchmarks/payoff.py            # minutes on two cores
 
 Every flight is one program, regardless of the method:
 
@@ -422,13 +422,11 @@ def draw(rows: Sequence[Mapping[str, Any]], picture: Path) -> None:
 
 def main() -> None:
     """Search all flights by all methods, store the rows, draw them and print the table."""
-    quick = "--quick" in sys.argv
-    jobs = [(which, Tries(2, 1, 1, 2) if quick else Tries()) for which in (FLIGHTS[::4] if quick else FLIGHTS)]
+    jobs = [(which, Tries()) for which in FLIGHTS]
     found = in_processes(compared, jobs, processors())
     rows = [row for _, flights in sorted(found, key=lambda pair: jobs.index(pair[0])) for row in flights]
-    if not quick:
-        STORE.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-        draw(rows, PICTURE)
+    STORE.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    draw(rows, PICTURE)
     sys.stdout.write(f"{guide_table(rows)}\n")
 
 

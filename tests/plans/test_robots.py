@@ -1,6 +1,5 @@
 """Models of robots in URDF and MJCF move as in MuJoCo, and what is no planar chain is refused in one sentence."""
 
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 import dpcontrol as dp
 from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.foundation.errors import Remark
 from dpcontrol.plans.robots import load_robot
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'dpcontrol[mujoco]'")
@@ -209,8 +209,7 @@ def test_what_the_model_leaves_out_is_listed(tmp_path: Path) -> None:
         if name == "contacts":
             text = text.replace('contype="0" conaffinity="0"', "", 1)
         (file := tmp_path / f"robot-{number}.xml").write_text(text)
-        with warnings.catch_warnings(record=True) as found:
-            warnings.simplefilter("always")
+        with pytest.warns(Remark) as found:
             model = dp.load_model(file)
         assert {sentence for sentence in model.differences if sentence.startswith("left out")} == {
             f"left out: {part}" for part in {name, "friction of the slider, 0.3 N s/m and 0 N"}
