@@ -20,7 +20,7 @@ from dpcontrol.pages.layout import Page, key, save_figure
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.references.find import find_reference
-from dpcontrol.references.problem import Limits, ReferenceProblem
+from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
 
 FRICTION = (0.0, 0.5, 1.0, 2.0, 5.0, 8.0, 12.0, 16.0)
 SHARES = {
@@ -38,7 +38,8 @@ def edges_of(name):
     def found_with(friction=1.0, **limits):
         parameters = replace(arms, viscous=tuple(friction * k for k in arms.viscous)).base()
         equations, limits = arm_chain_equations(2, Level.CART), replace(Limits(), **limits)
-        return find_reference(ReferenceProblem(equations, parameters, orbit.states, orbit.duration, limits))
+        problem = ReferenceProblem(equations, parameters, orbit.states, orbit.duration, limits)
+        return find_reference(problem, ReferenceSettings())
 
     free = found_with()
     takes = {"position": free.max_cart_position, "acceleration": free.max_cart_acceleration}
