@@ -5,15 +5,6 @@ import pytest
 from dpcontrol.planner.draft import first_text, read_draft
 
 FIRST = first_text("lab")
-WALK = ["down-up > up-down", "up-down > down-up"]
-
-
-def test_a_walk_built_by_clicks_is_a_valid_itinerary() -> None:
-    text = read_draft(FIRST).changed("", {"walk": WALK, "wraps": [3]})
-    draft = read_draft(text)
-    assert draft.itinerary is not None
-    assert draft.itinerary.walk == tuple(WALK)
-    assert (draft.wraps, draft.stops) == ([3], ["down-up", "up-down", "down-up"])
 
 
 @pytest.mark.parametrize(

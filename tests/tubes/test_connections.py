@@ -79,15 +79,6 @@ def test_flight_times_and_phases_refer_to_the_first_approach(found, key):
             assert curve.distances(before)[1].min() > 1e-3
 
 
-def test_names_and_states_are_independent_of_sampling_and_seed_distance(found):
-    key = KEY
-    finer = search(key, distance=3e-4, cut=CutSettings(first_phases=237, chord=0.02))
-    assert [c.name for c in finer.connections] == [c.name for c in found[key].connections]
-    for a, b in zip(finer.connections, found[key].connections, strict=True):
-        assert np.abs(a.state - b.state).max() < 1e-11
-        assert a.transversality_angle == pytest.approx(b.transversality_angle, abs=1e-6)
-
-
 @pytest.mark.slow
 def test_transversality_angles_agree_with_finite_differences(found):
     key = KEY
