@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shadowing_stand_in as stand_in
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.io import savemat
+from textbook import TwoArms
 
 Array = NDArray[np.float64]
 
@@ -17,6 +19,7 @@ PERIOD = 1e-3
 LAB = {"m": (0.0938439747983407, 0.137595970499412), "a": (0.108565214610396, 0.116779018445656),
        "l": 0.172719203817519, "J": (0.00043752942975691, 0.00126882939257741), "g": 9.8085802336215,
        "k": (0.000237142782693581, 1.00000019330558e-05)}  # fmt: skip
+SWINGING = TwoArms(stand_in.LAB, viscous=stand_in.LAB.viscous)
 
 
 def rig_file() -> Path:
@@ -28,27 +31,13 @@ def rig_file() -> Path:
     return file
 
 
-def _rate(_: float, x: Array) -> Array:
-    """The double pendulum's textbook equations from forces, independent of the code's Lagrangian."""
-    (m1, m2), (a1, a2), (j1, j2), (k1, k2) = LAB["m"], LAB["a"], LAB["J"], LAB["k"]
-    length, g = LAB["l"], LAB["g"]
-    q1, q2, w1, w2 = x
-    coupling = m2 * length * a2
-    mass = np.array([[m1 * a1**2 + m2 * length**2 + j1, coupling * np.cos(q1 - q2)],
-                     [coupling * np.cos(q1 - q2), m2 * a2**2 + j2]])  # fmt: skip
-    joint = k2 * (w2 - w1)
-    force = np.array([
-        -coupling * np.sin(q1 - q2) * w2**2 - (m1 * a1 + m2 * length) * g * np.sin(q1) - k1 * w1 + joint,
-        coupling * np.sin(q1 - q2) * w1**2 - m2 * a2 * g * np.sin(q2) - joint,
-    ])  # fmt: skip
-    return np.concatenate([[w1, w2], np.linalg.solve(mass, force)])
-
-
 @cache
 def free_swing(samples: int, start: tuple[float, ...] = (-0.6, 0.35, 4.0, -3.0)) -> tuple[Array, Array]:
     """Return times (K,) and states (K, 4) of a free swing at 1 kHz, angles from hanging."""
     times = PERIOD * np.arange(samples)
-    solution = solve_ivp(_rate, (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853")
+    solution = solve_ivp(
+        lambda _, x: SWINGING.slope(x), (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853"
+    )
     return times, solution.y.T
 
 

@@ -19,7 +19,7 @@ from shadowing_stand_in import LAB, StandIn, high_crossing, low_turn
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.system import System
 from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.model import load_model
+from dpcontrol.plans.model import Model, load_model
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
@@ -199,9 +199,15 @@ def _tracked(orbit: StandIn) -> tuple[StandIn, Reference]:
 
 
 @pytest.fixture(scope="session")
-def system() -> System:
+def lab() -> Model:
+    """The lab's pendulum."""
+    return load_model("lab")
+
+
+@pytest.fixture(scope="session")
+def system(lab: Model) -> System:
     """The lab's pendulum without friction."""
-    return load_model("lab").system
+    return lab.system
 
 
 @pytest.fixture(scope="session")

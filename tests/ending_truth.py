@@ -1,19 +1,6 @@
 """Verification of a run's ending with data unavailable at a bench: true states and actual faults.
 
-An ending is true if its class and every figure of its sentence agree with the true states. The sentences are parsed
-as text, independently of the code that decided them. The classes have these meanings:
-
-    is stuck          the named sensor had actually stuck by then
-    no measurement    readings were actually missing
-    estimate lost     an estimated angle was wrong by 0.05 rad, or the cart by 0.02 m, within the last 0.3 s, or a
-                      sensor actually failed
-    tracking lost     the true angle was, or remained, at the stated distance from the reference
-    cart at its stop  the true cart had the stated position and speed, the true angle had the stated distance and was
-                      not yet lost. One tick later, braking at half of the drive's limit would have left at most 3 cm
-                      of the travel and the distance of one tick.
-    limit switch      the true cart was at this end of its track
-    hard stop         the true cart ran into the end of its track
-
+An ending is true if its class and every figure of its sentence agree with the true states, as `untrue` compares them.
 Distances have a tolerance of 0.2 rad and a tenth, which is too small to confuse runs that could be saved with others.
 A run that reached the reference's end is judged by its score, see `untrue_score`.
 """
@@ -98,9 +85,7 @@ def flights(itinerary: Itinerary, reference: Reference, seeds: Sequence[int]) ->
     due = tuple(symbol.time for symbol in reference.content.symbols)
     out = []
     for seed, run, estimate in zip(seeds, runs, estimates, strict=True):
-        end = None if run.ending is Ending.FINISHED else run.end
-        flown = Flown(run.times, run.truth, run.references, run.applied, loop.rate, bounds, end)
-        verdict = verdict_on(flown, reference)
+        verdict = verdict_on(Flown.of(run, rate_hz=loop.rate, limits=limits), reference)
         out.append(Flight(itinerary.name, seed, loop, run, estimate, verdict, bounds, due))
     return out
 

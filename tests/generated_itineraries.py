@@ -38,16 +38,11 @@ def drawn_itinerary(seed: int) -> str:
     model = str(random.choice(["lab", "lab-identified"]))
     kind = seed % 6
     head = [f'title = "drawn from seed {seed}"', f'model = "{model}"']
-    if kind == 0:
+    if kind in (0, 1, 5):
+        rests = [f'{end} = "rest"' for end in ("start", "finish") if random.random() < 0.7] if kind == 1 else []
         lines, _ = _walk_lines(random, high=bool(random.random() < 0.6), start="down-up")
-        return "\n".join([*head, *lines])
-    if kind == 1:
-        rests = [f'{end} = "rest"' for end in ("start", "finish") if random.random() < 0.7]
-        lines, _ = _walk_lines(random, high=bool(random.random() < 0.6), start="down-up")
-        return "\n".join([*head, *rests, *lines])
-    if kind == 5:
-        lines, _ = _walk_lines(random, high=bool(random.random() < 0.6), start="down-up")
-        return "\n".join([*head, *lines, "[controller]", 'kind = "tvlqr"', 'keep = "tvlqr"'])
+        kept = ["[controller]", 'kind = "tvlqr"', 'keep = "tvlqr"'] if kind == 5 else []
+        return "\n".join([*head, *rests, *lines, *kept])
     parts: list[str] = []
     here = "down-up"
     for k in range(int(random.integers(1, 4))):

@@ -175,7 +175,7 @@ def phase_turns(plan: Plan, states: Array, spans: list[tuple[int, int]], stop: i
     return float(phase[-1] - phase[0]) / (2 * np.pi) + flown
 
 
-def faults(plan: Plan, states: Array, accelerations: Array | None) -> list[str]:
+def faults(plan: Plan, states: Array) -> list[str]:
     """Return the reasons why a run with true states (K, 2n+2) is not completed."""
     out: list[str] = []
     n, stops = plan.arms, plan.stops
@@ -203,7 +203,6 @@ def faults(plan: Plan, states: Array, accelerations: Array | None) -> list[str]:
         if abs(mine - theirs) >= 0.5:
             out.append(f"{mine:.2f} turns of the phase at stop {k + 1} instead of {theirs:.2f}")
     bounds = [("position", states[:, 2 * n]), ("velocity", states[:, 2 * n + 1])]
-    bounds += [] if accelerations is None else [("acceleration", accelerations)]
     for (name, values), bound in zip(bounds, plan.limits, strict=False):
         if np.abs(values).max() > bound + 1e-9:
             out.append(f"{name} {np.abs(values).max():.4f}")

@@ -1,7 +1,7 @@
 """Passages of the lab pendulum's necks, counted over the microcanonical ensemble without any code of the package.
 
-The arms come from `models/lab.toml`. Their equations of motion are typed in and integrated by the classical Runge-Kutta
-method. States are drawn evenly from the energy surface by rejection. A neck is passed when the arm that stands up comes
+The arms come from `models/lab.toml`. The equations of the textbook are integrated by the classical Runge-Kutta method.
+States are drawn evenly from the energy surface by rejection. A neck is passed when the arm that stands up comes
 from `margin` before to `margin` after its upright position; this distance exceeds the swing of the Lyapunov orbit, so
 motions that turn back in the neck do not count. The flow keeps the ensemble, so passages are counted over a window of
 the time after a start that tells on which side each motion is.
@@ -13,8 +13,10 @@ import json
 import tomllib
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+from textbook import TwoArms
 
 Array = np.ndarray
 ROOT = Path(__file__).parents[1]
@@ -49,16 +51,13 @@ class Passages:
     drift: float
 
 
-class Arms:
+class Arms(TwoArms):
     """Two arms, inner arm first, with A ω₁'² + … in base parameters."""
 
     def __init__(self) -> None:
         model = tomllib.loads((ROOT / "models" / "lab.toml").read_text(encoding="utf-8"))
-        (m1, m2), (a1, a2) = model["arms"]["mass"], model["arms"]["centre_of_mass"]
-        l1, (j1, j2) = model["arms"]["length"][0], model["arms"]["inertia"]
-        gravity = model["gravity"]["acceleration"]
-        self.inner, self.outer, self.both = m1 * a1**2 + m2 * l1**2 + j1, m2 * a2**2 + j2, m2 * l1 * a2
-        self.weights = gravity * (m1 * a1 + m2 * l1), gravity * m2 * a2
+        super().__init__(SimpleNamespace(**model["arms"], gravity=model["gravity"]["acceleration"]))
+        self.weights = [self.gravity * moment for moment in self.moments]
 
     def potential(self, angles: Array) -> Array:
         return -self.weights[0] * np.cos(angles[0]) - self.weights[1] * np.cos(angles[1])
@@ -68,25 +67,11 @@ class Arms:
         kinetic = (self.inner * rate**2 + self.outer * other**2) / 2 + self.both * np.cos(first - second) * rate * other
         return kinetic + self.potential(states[:2])
 
-    def slope(self, states: Array) -> Array:
-        first, second, rate, other = states
-        mixed, bent = self.both * np.cos(first - second), self.both * np.sin(first - second)
-        force = -bent * other**2 - self.weights[0] * np.sin(first), bent * rate**2 - self.weights[1] * np.sin(second)
-        determinant = self.inner * self.outer - mixed**2
-        return np.stack(
-            [
-                rate,
-                other,
-                (self.outer * force[0] - mixed * force[1]) / determinant,
-                (self.inner * force[1] - mixed * force[0]) / determinant,
-            ]
-        )
-
     def step(self, states: Array) -> Array:
-        k1 = self.slope(states)
-        k2 = self.slope(states + STEP / 2 * k1)
-        k3 = self.slope(states + STEP / 2 * k2)
-        k4 = self.slope(states + STEP * k3)
+        k1 = np.array(self.slope(states))
+        k2 = np.array(self.slope(states + STEP / 2 * k1))
+        k3 = np.array(self.slope(states + STEP / 2 * k2))
+        k4 = np.array(self.slope(states + STEP * k3))
         return states + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
     def ensemble(self, energy: float, count: int, random: np.random.Generator) -> Array:

@@ -1,12 +1,14 @@
-"""A fast function of the equations' rate for other integrators."""
+"""A fast function of the equations' rate for other integrators, and flights by scipy."""
 
 from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.system import System
 
 Rate = Callable[[ArrayLike, ArrayLike, ArrayLike], NDArray[np.float64]]
 
@@ -37,3 +39,12 @@ def quick_rate(equations: Equations) -> Rate:
         return out.copy()
 
     return rate
+
+
+def flown_by_scipy(system: System, state: ArrayLike, seconds: float) -> NDArray[np.float64]:
+    """Return the state (N,) after a flight of `seconds` s, which may be negative, by DOP853."""
+    rate, numbers = quick_rate(system.equations), system.parameters
+    solution = solve_ivp(
+        lambda _, x: rate(x, [], numbers), (0, seconds), state, method="DOP853", rtol=1e-12, atol=1e-12
+    )
+    return solution.y[:, -1]

@@ -4,6 +4,9 @@ Angles are absolute, in rad from hanging. Rates are in rad/s, and energies in J 
 angle_1, angle_2, rate_1, rate_2.
 """
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 SQUARED_EIGENVALUES = {
     ("lab", "down-down"): (-0.4906446053930873, -32.61127464154705, -159.94131657523323),
     ("lab", "down-up"): (-0.1754297468841109, 64.82866040641298, -80.45654759279255),
@@ -81,3 +84,17 @@ CONNECTIONS = {
 }
 """Number of first-hit connections on the torus by (from, to, energy) of the lab pendulum, and states with sense +1. One
 state of each mirror pair is given; the other one has the opposite angle on the section."""
+
+
+def images(key: tuple[str, str, float]) -> NDArray[np.float64]:
+    """Return the states (K, 4) of `CONNECTIONS` and of their mirror images."""
+    states = np.array(CONNECTIONS[key][1])
+    if key[0] == key[1]:
+        states = np.vstack([states, states * [-1, -1, 1, 1]])
+    return np.vstack([states, -states])
+
+
+def on_torus(first: ArrayLike, second: ArrayLike) -> float:
+    """Return the largest difference of states, with angles modulo a turn."""
+    gap = np.asarray(first) - np.asarray(second)
+    return float(max(np.abs(2 * np.sin(gap[:2] / 2)).max(), np.abs(gap[2:]).max()))

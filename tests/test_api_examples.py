@@ -12,9 +12,9 @@ import dpcontrol as dp
 from dpcontrol.control import export
 from dpcontrol.plans.atlas import make_atlas
 from dpcontrol.proofs import prove
+from tests.api_reference import FUNCTIONS
 
 pytestmark = pytest.mark.slow
-FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(dp, name))]
 
 
 @pytest.fixture(scope="module", autouse=True)

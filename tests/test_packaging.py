@@ -122,11 +122,3 @@ def test_the_working_folders_own_file_comes_before_the_shipped_one(tmp_path: Pat
     _, lab, printed, *_ = found_from(tmp_path, path=ROOT)
     assert Path(lab) == own.resolve()
     assert Path(printed) == ROOT / "models" / "printed.toml"
-
-
-def test_class_names_are_unique() -> None:
-    named: dict[str, list[str]] = {}
-    for file in sorted((ROOT / "dpcontrol").rglob("*.py")):
-        for name in re.findall(r"^class (\w+)", file.read_text(encoding="utf-8"), re.MULTILINE):
-            named.setdefault(name, []).append(file.name)
-    assert not {name: files for name, files in named.items() if len(files) > 1}

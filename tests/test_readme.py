@@ -82,11 +82,6 @@ SECTIONS = [
 ]
 
 
-def cases() -> list[Any]:
-    """Return the sections with their names."""
-    return [pytest.param(one, id=f"{one.page.parent.name}-{one.page.stem}-{one.title}") for one in SECTIONS]
-
-
 def made_by() -> dict[str, str]:
     """Return the commands that make the files of pages: those that print a log first, or write a file."""
     found: dict[str, str] = {}
@@ -188,7 +183,7 @@ def test_the_pages_show_every_verb_at_work() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("briefly")
-@pytest.mark.parametrize("section", cases())
+@pytest.mark.parametrize("section", SECTIONS, ids=lambda one: f"{one.page.parent.name}-{one.page.stem}-{one.title}")
 def test_the_blocks_of_a_section_run_and_print_the_shown_output(section: Section) -> None:
     for command in makers("\n".join(block.text for block in section.blocks)):
         run_as_documented(command)
@@ -200,7 +195,7 @@ def test_the_blocks_of_a_section_run_and_print_the_shown_output(section: Section
             check_output(block)
 
 
-@pytest.mark.parametrize("text", [pytest.param(text, id=text.split("\n")[0]) for text in TOML])
+@pytest.mark.parametrize("text", TOML, ids=lambda text: text.split("\n")[0])
 def test_the_toml_shown_is_that_of_a_model_an_itinerary_or_a_part_of_one(text: str, folder: Path) -> None:
     """`# models/NAME.toml` begins a whole file, `# added to itineraries/NAME.toml` an addition to a shipped one."""
     from dpcontrol.plans.itinerary import load_itinerary
@@ -276,7 +271,7 @@ def anchors(text: str) -> set[str]:
     return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
-@pytest.mark.parametrize("page", [pytest.param(page, id=f"{page.parent.name}-{page.stem}") for page in PAGES])
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}-{page.stem}")
 def test_the_links_of_a_page_lead_to_files_and_headings(page: Path) -> None:
     for link in re.findall(r"\]\(([^)\s]+)\)", PAGES[page]):
         if link.startswith(("https://", "http://")):

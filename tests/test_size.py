@@ -140,3 +140,38 @@ def test_each_package_has_a_forecast_and_the_forecasts_add_up_to_the_goal() -> N
 def test_only_listed_places_exceed_a_limit_and_each_listed_place_still_does(limit: str, offenders: object) -> None:
     assert callable(offenders)
     assert sorted(offenders()) == sorted(RECORD["exceptions"][limit])
+
+
+USES = {
+    "cli/commands.py": "reads the arguments of a docstring, and marks their defaults for the help",
+    "control/export.py": "takes apart C that casadi generated, and the linker's list of sizes",
+    "dynamics/system.py": "names of a user's system",
+    "foundation/cache.py": "names of files in the cache's folder",
+    "foundation/errors.py": "shortens and escapes texts from outside for the terminal",
+    "foundation/guide.py": "the list of pages in the guide's README",
+    "foundation/toml.py": "the line of a TOML error, which Python 3.13 gives in its text only",
+    "logs/recovery.py": "the beginning of a damaged file, and names of interrupted logs",
+    "proofs/balls.py": "decimal numbers of a certificate",
+    "recordings/bags.py": "names of fields and message definitions in bags",
+    "recordings/importing.py": "numbers and paths of variables in a laboratory's tables",
+    "rig/client.py": "addresses of rigs",
+    "walks/symbols.py": "symbols and names of connections that users type",
+}
+"""Modules that import `re`, each with the text that it reads."""
+
+
+def test_each_module_with_regular_expressions_has_a_reason() -> None:
+    """Regular expressions are used on texts that come from outside, never on texts of the program."""
+    users = {
+        name
+        for name, tree in modules().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        and "re" in (*(alias.name for alias in node.names if isinstance(node, ast.Import)), getattr(node, "module", ""))
+    }
+    assert users - USES.keys() == set()
+
+
+def test_class_names_are_unique() -> None:
+    names = Counter(node.name for tree in modules().values() for node in tree.body if isinstance(node, ast.ClassDef))
+    assert {name for name, count in names.items() if count > 1} == set()

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,15 +22,14 @@ UNSURE = 0.004
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A run with its description and the true cart's accelerations, m/s²."""
+    """A run with its description."""
 
     text: str
     flown: Flown
-    accelerations: Array | None
 
 
-def drawn_options(random: np.random.Generator, *, recovers: bool = False) -> dict[str, Any]:
-    """Return an easy, ordinary or hard bench, with recovery after falls if `recovers`."""
+def drawn_options(random: np.random.Generator) -> dict[str, Any]:
+    """Return an easy, ordinary or hard bench."""
 
     def within(low: float, high: float) -> float:
         return float(random.uniform(low, high))
@@ -44,11 +42,7 @@ def drawn_options(random: np.random.Generator, *, recovers: bool = False) -> dic
         {"controller": "feedforward"}, {"tilt": within(-0.1, 0.1)}, {"response": within(0.5, 1.4)},
         {"knocks": 2, "knock_velocity": within(0.05, 1.0)},
     ])  # fmt: skip
-    if recovers:
-        values |= {
-            "on_fall": str(random.choice(["resume", "restart"])), "knocks_per_minute": 20.0, "knock_impulse": 0.05,
-        }  # fmt: skip
-    return {**values}
+    return values
 
 
 def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any], seeds: list[int]) -> Iterator[Case]:
@@ -61,7 +55,7 @@ def runs(itinerary: Itinerary, reference: Reference, options: Mapping[str, Any],
     flights = assembly.batch(seeds) if lockstep else [BatchRun.of(assembly.simulate(draw=draw)) for draw in draws]
     for seed, run in zip(seeds, flights, strict=True):
         flown = Flown.of(run, rate_hz=loop.rate, limits=limits)
-        yield Case(f"seed {seed}, {options}", flown, None)
+        yield Case(f"seed {seed}, {options}", flown)
 
 
 def counted_states(flown: Flown, plan: Plan) -> Array:
@@ -86,7 +80,7 @@ def disagreement(case: Case, reference: Reference, plan: Plan) -> str:
     """Return the difference between two decoders' verdicts, or an empty string."""
     verdict = verdict_on(case.flown, reference)
     states = counted_states(case.flown, plan)
-    found = faults(plan, states, case.accelerations)
+    found = faults(plan, states)
     if case.flown.stretches:
         found += [
             f"{name} beyond its limit in a return"
@@ -98,12 +92,6 @@ def disagreement(case: Case, reference: Reference, plan: Plan) -> str:
     if np.isfinite(states).all() and abs(last_gap(plan, states) - LAST) < UNSURE:
         return ""
     return f"{case.text}: the score says {verdict.reason!r}, the other decoder {found or 'completed'}"
-
-
-@cache
-def judged_plan(reference: Reference, rate: float, limits: tuple[float, float, float]) -> Plan:
-    """Return the plan in the other decoder's form, with the limits of a run."""
-    return plan_of(reference, rate, limits)
 
 
 # Wrong runs.
@@ -119,14 +107,14 @@ def mutants(case: Case, plan: Plan, random: np.random.Generator) -> Iterator[Cas
         states[:, :n] += turns
         time = np.arange(len(rows)) / flown.rate_hz
         changed = replace(flown, states=states, reference_angles=wanted, time=time, applied=flown.applied[rows])
-        return Case(f"{case.text}, {text}", changed, None)
+        return Case(f"{case.text}, {text}", changed)
 
     count = len(flown.states)
     whole, none = np.arange(count), np.zeros((count, n))
     if any(abs(angle) > 1e-9 for stop in stops for angle in stop["angles"]):
         mirrored = flown.states.copy()
         mirrored[:, : 2 * n] *= -1
-        yield Case(f"{case.text}, mirrored", replace(flown, states=mirrored), None)
+        yield Case(f"{case.text}, mirrored", replace(flown, states=mirrored))
     if symbols:
         at = round(float(random.choice([s["time"] for s in symbols])) * flown.rate_hz)
         turns = none.copy()
@@ -165,10 +153,10 @@ class Comparison:
 
     def add(self, plan: Any, options: Mapping[str, Any], seeds: list[int], random: np.random.Generator) -> None:
         """Simulate these seeds of a plan, and failed runs derived from the first completed one."""
-        reference, made = plan.reference, False
+        reference, made, read = plan.reference, False, None
         for case in runs(plan.itinerary, reference, options, seeds):
             assert case.flown.limits is not None
-            read = judged_plan(reference, case.flown.rate_hz, case.flown.limits)
+            read = read or plan_of(reference, case.flown.rate_hz, case.flown.limits)
             self.runs += 1
             if text := disagreement(case, reference, read):
                 self.false.append(f"{plan.itinerary.name}, {text}")
@@ -182,7 +170,7 @@ class Comparison:
                 self.wrong += 1
                 if verdict_on(mutant.flown, reference).completed:
                     self.false.append(f"{plan.itinerary.name}, {mutant.text}: completed by the score")
-                if not faults(read, mutant.flown.states, None):
+                if not faults(read, mutant.flown.states):
                     self.false.append(f"{plan.itinerary.name}, {mutant.text}: completed by the other decoder")
 
 

@@ -26,29 +26,23 @@ ENTERED = 6e-3
 """Required scaled distance of a stop from its orbit; published approaches are to 1e-3."""
 NOT_WHOLE = 0.01
 """Error of published phases, which refer to the nearest point at a scaled distance of 1e-3."""
+STEP = 4e-3
+"""s between samples."""
+GAP = 1e-11
+"""Largest gap between nodes that are flown again."""
 LEFT = 6e-2
 """Scaled distance that ends a stop, ten times that of the fewest wraps."""
 
 
 @dataclass(frozen=True)
 class Passage:
-    """One symbol of a trajectory, with its stops and its section crossing.
-
-    distance: scaled, from the nearest of all connections between these saddles (rival: from the second nearest);
-    crossing, crossings: which of how many crossings of the section between the two stops it is.
-    """
+    """One symbol of a trajectory, and which of how many crossings of the section between its two stops it is."""
 
     connection: Connection
     time: float
     winding: tuple[int, ...]
-    distance: float
-    rival: float
     crossing: int
     crossings: int
-
-    @property
-    def name(self) -> str:
-        return self.connection.name
 
     @property
     def consistent(self) -> bool:
@@ -67,7 +61,7 @@ class Reading:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(p.name for p in self.passages)
+        return tuple(p.connection.name for p in self.passages)
 
 
 @dataclass(frozen=True)
@@ -81,8 +75,8 @@ class _Stop:
 class WalkClassifier:
     """Reads walks on the connections of one energy."""
 
-    def __init__(self, system: System, connections: Sequence[Connection], *, step: float = 4e-3) -> None:
-        self.system, self.connections, self.step = system, tuple(connections), step
+    def __init__(self, system: System, connections: Sequence[Connection]) -> None:
+        self.system, self.connections = system, tuple(connections)
         self.n = system.dimension // 2
         orbits = {o.saddle: o for c in connections for o in (c.source, c.target)}
         self.orbits = orbits
@@ -97,7 +91,7 @@ class WalkClassifier:
         assert np.abs(solution.y[:, -1] - state).max() < 1e-6, "the orbit does not close"
         return solution.y.T / self.system.scale
 
-    def complaints(self, orbit: ShadowingOrbit, *, gap: float = 1e-11) -> list[str]:
+    def complaints(self, orbit: ShadowingOrbit) -> list[str]:
         """Return the differences of a converged orbit from the requested walk, ideally none."""
         if orbit.periodic:
             seen = self.closed_walk(orbit.states, orbit.duration)
@@ -108,11 +102,10 @@ class WalkClassifier:
             found.append(f"follows {seen.names}, not {orbit.walk}")
         if seen.wraps != orbit.wraps:
             found.append(f"wraps {seen.wraps}, not {orbit.wraps}")
-        found += [f"{p.name}: winding {p.winding}, crossing {p.crossing} of {p.crossings}" for p in seen.passages
-                  if not p.consistent]  # fmt: skip
+        found += [f"not as published: {p}" for p in seen.passages if not p.consistent]
         found += [f"wraps are {odd:.3f} off a whole number" for odd in seen.odd if odd > NOT_WHOLE]
         flown = float(flown_gaps(self.system, orbit.orbit.states, np.diff(orbit.orbit.times)).max())
-        if flown > gap:
+        if flown > GAP:
             found.append(f"flown again, gaps are {flown:.1e}")
         return found
 
@@ -125,7 +118,7 @@ class WalkClassifier:
         seen = self._passages(sample, -period, 2 * period)
         inside = [p for p in seen if -1e-9 <= p.time < period - 1e-9]
         after = next(p for p in seen if p.time >= period - 1e-9)
-        assert inside[0].name == after.name, "the second round differs from the first"
+        assert inside[0].connection is after.connection, "the second round differs from the first"
         assert abs(after.time - inside[0].time - period) < 1e-6, "the second round is late"
         reading = self._reading([*inside, after])
         return Reading(reading.passages[:-1], reading.wraps, reading.odd)
@@ -141,7 +134,7 @@ class WalkClassifier:
         return Reading(tuple(passages), tuple(wraps), tuple(odd))
 
     def _passages(self, sample: Sampler, begin: float, end: float) -> list[Passage]:
-        times = np.linspace(begin, end, int(np.ceil((end - begin) / self.step)) + 1)
+        times = np.linspace(begin, end, int(np.ceil((end - begin) / STEP)) + 1)
         states = sample(times)
         stops = self._stops(states)
         return [self._passage(sample, times, states, a, b) for a, b in pairwise(stops)]
@@ -174,19 +167,16 @@ class WalkClassifier:
         lift = np.zeros(self.system.dimension)
         lift[: self.n] = a.lattice
         lift *= self.system.turn_lengths
-        best: list[tuple[float, float, int, int, Connection]] = []
+        best: list[tuple[float, Passage]] = []
         for section in dict.fromkeys(c.section for c in candidates):
             at = self._crossings(sample, times[a.last : b.first + 1], states[a.last : b.first + 1], section)
             for place, (time, state) in enumerate(at, start=1):
                 for c in candidates:
                     if c.section == section:
                         apart = float(np.max(np.abs(state - lift - c.state) / self.system.scale))
-                        best.append((apart, time, place, len(at), c))
+                        best.append((apart, Passage(c, time, winding, place, len(at))))
         assert best, f"no section is crossed between {a.saddle} and {b.saddle}"
-        best.sort(key=lambda entry: entry[0])
-        apart, time, place, count, nearest = best[0]
-        rival = best[1][0] if len(best) > 1 else np.inf
-        return Passage(nearest, time, winding, apart, rival, place, count)
+        return min(best, key=lambda entry: entry[0])[1]
 
     def _crossings(self, sample: Sampler, times: Array, states: Array, section: Section) -> list[tuple[float, Array]]:
         """Return times and states of the crossings between samples, by bisection with ever finer samples."""
@@ -212,10 +202,10 @@ class WalkClassifier:
         return out
 
 
-def flown_gaps(system: System, states: Array, durations: Array, *, most: int = 40) -> Array:
-    """Return the gaps between K + 1 nodes (K,), and some of them (≤ most,) by DOP853."""
+def flown_gaps(system: System, states: Array, durations: Array) -> Array:
+    """Return the gaps between K + 1 nodes (K,), and those of forty by DOP853."""
     alone = np.array([system.propagator.flow(x, h) for x, h in zip(states[:-1], durations, strict=True)])
-    chosen = np.unique(np.linspace(0, len(durations) - 1, most).astype(int))
+    chosen = np.unique(np.linspace(0, len(durations) - 1, 40).astype(int))
     seconds, shape = durations[chosen, None], (len(chosen), system.dimension)
 
     def rate(_: float, x: Array) -> Array:

@@ -30,12 +30,7 @@ PICTURE = Path(__file__).parents[2] / ".assets" / "entropy.png"
 
 
 def proved(energy: Decimal, file: Path) -> dict[str, object]:
-    """Prove the graph of an energy, and return its row.
-
-    Args:
-        energy: energy, J.
-        file: certificate to write.
-    """
+    """Prove the graph of an energy, and return its row."""
     edges = dp.graph("lab", energy=float(energy))
     if not edges.connections:
         return {"energy": str(energy), "status": "no connections"}
@@ -49,12 +44,7 @@ def proved(energy: Decimal, file: Path) -> dict[str, object]:
 
 
 def estimated(links: Sequence[Connection], least: Sequence[Sequence[int | None]]) -> float:
-    """Return the entropy of walks on computed connections, 1/s.
-
-    Args:
-        links: computed connections (L,).
-        least: fewest wraps between each two (L, L), None where they do not meet.
-    """
+    """Return the entropy of walks on computed connections, 1/s."""
 
     def gap(rate: float) -> float:
         matrix = np.zeros((len(links), len(links)))
@@ -70,12 +60,7 @@ def estimated(links: Sequence[Connection], least: Sequence[Sequence[int | None]]
 
 
 def draw(rows: Sequence[dict[str, object]], picture: Path) -> None:
-    """Draw bounds and estimates against energy.
-
-    Args:
-        rows: rows of `proved`.
-        picture: file to write.
-    """
+    """Draw bounds and estimates against energy."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 3.6), layout="constrained")

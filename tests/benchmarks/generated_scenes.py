@@ -77,13 +77,12 @@ class Arms:
 
 @dataclass(frozen=True)
 class Scene:
-    """The texts of a scene's files, and the factors by which completion is tabulated; the plant's is often empty."""
+    """The texts of a scene's files; the plant's is often empty."""
 
     seed: int
     model: str
     plant: str
     itinerary: str
-    factors: dict[str, float | str]
     kind: str = "scene"
 
     @property
@@ -109,26 +108,18 @@ def sampled_scene(seed: int) -> Scene:
     known = bool(rng.random() < 2 / 3)
     frictional = any(arms.coulomb)
     name = f"scene-{seed:04d}"
-    rig, factors = _rig(np.random.default_rng([seed, RIG]))
-    mechanics, mechanics_factors = _mechanics(np.random.default_rng([seed, MECHANICS]), arms)
-    rig += mechanics
-    lines, itinerary_factors = drawn_motion(np.random.default_rng([seed, ITINERARY]), arms)
-    rig.append(f"travel = {itinerary_factors['half track']:.3f}")
+    rig = _rig(np.random.default_rng([seed, RIG])) + _mechanics(np.random.default_rng([seed, MECHANICS]), arms)
+    lines, track = drawn_motion(np.random.default_rng([seed, ITINERARY]), arms)
+    rig.append(f"travel = {track:.3f}")
     if frictional and not known:
         rig.append(f'plant = "{name}-plant.toml"')
     text = "\n".join([f'title = "Generated scene {seed}"', f'model = "{name}-model.toml"', *lines, "", "[run]", *rig])
-    share = arms.coulomb[0] / arms.torques[0] if frictional else 0.0
     return Scene(
         seed,
         arms.text(f"Arms of generated scene {seed}", coulomb=known),
         arms.text(f"Plant of generated scene {seed}", coulomb=True) if frictional and not known else "",
         text + "\n",
-        {
-            "arms": len(arms.mass), **itinerary_factors, "Coulomb share": share, "smoothing": arms.smoothing,
-            "Coulomb known": ("yes" if known else "no") if frictional else "-", **factors,
-            **mechanics_factors,
-        },
-    )  # fmt: skip
+    )
 
 
 def list_text(values: Sequence[float]) -> str:
@@ -179,8 +170,8 @@ _KINDS = {
 }  # fmt: skip
 
 
-def drawn_motion(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[str, float | str]]:
-    """Return the lines of the itinerary, limits included, and its factors."""
+def drawn_motion(rng: np.random.Generator, arms: Arms) -> tuple[list[str], float]:
+    """Return the lines of the itinerary, limits included, and half of the track, m."""
     count = len(arms.mass)
     track = float(np.clip(sum(arms.length) * rng.uniform(1.2, 2.5), 0.3, 1.0))
     limits = [
@@ -194,16 +185,16 @@ def drawn_motion(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[
     ends = [str(end) for end in rng.choice(["rest", "orbit"], size=2)]
     controller: list[str] = []
     if kind == "held":
-        lines, symbols = ['start = "hold"', *_hold(rng, places, 5, 20)], 0
+        lines = ['start = "hold"', *_hold(rng, places, 5, 20)]
     elif kind == "rest, hold, rest":
-        lines, symbols = ['start = "rest"', 'finish = "rest"', *_hold(rng, places, 1, 3)], 0
+        lines = ['start = "rest"', 'finish = "rest"', *_hold(rng, places, 1, 3)]
     elif kind == "holds":
         parts = [line for _ in range(int(rng.integers(2, 4))) for line in ("[[parts]]", *_hold(rng, places, 1, 3))]
-        lines, symbols = ['start = "rest"', 'finish = "rest"', *parts], 0
+        lines = ['start = "rest"', 'finish = "rest"', *parts]
     elif kind == "orbit":
         saddle = str(rng.choice(_SADDLES))
         energy = f"energy = {_energy(rng, arms, [saddle]):.6g}"
-        lines, symbols = [f'orbit = "{saddle}"', energy, f"seconds = {rng.uniform(5, 15):.1f}"], 0
+        lines = [f'orbit = "{saddle}"', energy, f"seconds = {rng.uniform(5, 15):.1f}"]
     elif kind == "parts":
         symbols = max(symbols, 2)
         walks = [_walk(rng, arms, symbols // 2), _walk(rng, arms, symbols - symbols // 2)]
@@ -216,9 +207,7 @@ def drawn_motion(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[
         controller = ["[controller]", 'kind = "tvlqr"', 'keep = "tvlqr"']
     else:
         lines = [f'start = "{ends[0]}"', f'finish = "{ends[1]}"', *_walk(rng, arms, symbols)]
-        kind = "walk from rest" if "rest" in ends else "walk on orbits"
-    factors: dict[str, float | str] = {"itinerary": kind, "symbols": symbols, "half track": track}
-    return [*lines, "", *limits, *controller], factors
+    return [*lines, "", *limits, *controller], track
 
 
 def _hold(rng: np.random.Generator, places: Sequence[str], least: float, most: float) -> list[str]:
@@ -248,8 +237,8 @@ def _energy(rng: np.random.Generator, arms: Arms, visited: Sequence[str]) -> flo
     return lowest + log_uniform(rng, 0.03, 0.5) * (arms.energy("up-up") - lowest)
 
 
-def _rig(rng: np.random.Generator) -> tuple[list[str], dict[str, float | str]]:
-    """Return the lines of [run] and their factors; the track belongs to the itinerary, whose plan needs its length."""
+def _rig(rng: np.random.Generator) -> list[str]:
+    """Return the lines of [run]; the track belongs to the itinerary, whose plan needs its length."""
     rate = float(rng.choice([200, 250, 500, 1000, 2000], p=[0.1, 0.1, 0.25, 0.4, 0.15]))
     delay = float(rng.choice([0.0, 1.0, 2.0, 3.0, round(rng.uniform(0, 3), 2)]))
     lag = float(rng.choice([0.0, round(rng.uniform(0.001, 0.02), 4)], p=[0.3, 0.7]))
@@ -258,22 +247,17 @@ def _rig(rng: np.random.Generator) -> tuple[list[str], dict[str, float | str]]:
     resolution = log_uniform(rng, 1e-6, 2e-4)
     jitter = float(rng.choice([0.0, rng.uniform(0, min(1 / rate, 2e-3))], p=[2 / 3, 1 / 3]))
     noise = float(rng.choice([0.0, log_uniform(rng, 1e-4, 1e-3)], p=[2 / 3, 1 / 3]))
-    lines = [
+    return [
         f"rate = {rate:g}", f"delay = {delay:g}", f"lag = {lag:g}", f"drive_lag = {lag if known else 0.0:g}",
         f"counts = {counts}", f"cart_resolution = {resolution:.3g}", f"jitter = {jitter:.3g}",
         f"noise = {noise:.3g}", f"zero_error = {rng.uniform(0, 0.03):.4f}",
         f"command_noise = {rng.uniform(0, 0.5):.3f}", f"initial_error = {rng.uniform(0, 0.05):.4f}",
         f"mismatch = {MISMATCH}",
     ]  # fmt: skip
-    factors: dict[str, float | str] = {
-        "rate": rate, "delay": delay, "lag": lag, "lag known": ("yes" if known else "no") if lag else "-",
-        "counts": counts, "cart resolution": resolution, "jitter": jitter * rate, "noise": noise,
-    }  # fmt: skip
-    return lines, factors
 
 
-def _mechanics(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[str, float | str]]:
-    """Return the lines of [run] that describe belt, play, cable and stiction, and their factors."""
+def _mechanics(rng: np.random.Generator, arms: Arms) -> list[str]:
+    """Return the lines of [run] that describe belt, play, cable and stiction."""
     lines: list[str] = []
     with_belt, with_play, with_cable, with_stiction = rng.random(4) < [0.2, 1 / 3, 0.25, 0.25]
     belt, damping, measured = log_uniform(rng, 20, 100), rng.uniform(0.03, 0.1), rng.uniform(0.9, 1.1)
@@ -292,12 +276,7 @@ def _mechanics(rng: np.random.Generator, arms: Arms) -> tuple[list[str], dict[st
     share, kinetic = rng.uniform(0, 0.003), rng.uniform(0.6, 0.9)
     if with_stiction:
         lines += [f"stiction = {list_text([share * one for one in arms.torques])}", f"kinetic = {kinetic:.2f}"]
-    factors: dict[str, float | str] = {
-        "belt": belt if with_belt else 0.0, "belt scale": scale if with_belt else "-",
-        "play": play if with_play else 0.0, "cable": max(abs(torque), turning) if with_cable else 0.0,
-        "stiction": share if with_stiction else 0.0,
-    }  # fmt: skip
-    return lines, factors
+    return lines
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ def sampled_lab(seed: int) -> Scene:
     share, known = float(rng.uniform(0, 0.01)), bool(rng.random() < 0.5)
     coulomb = tuple(share * torque for torque in smooth.torques)
     arms = Arms(mass, centre, length, inertia, viscous, coulomb, smooth.smoothing)
-    lines, factors = drawn_motion(np.random.default_rng([seed, ITINERARY, 7]), arms)
+    lines, track = drawn_motion(np.random.default_rng([seed, ITINERARY, 7]), arms)
     rng = np.random.default_rng([seed, RIG, 7])
     rate = float(rng.choice([250, 500, 1000, 2000]))
     lag = float(rng.choice([0.0, rng.uniform(0.001, 0.01)]))
@@ -72,7 +72,7 @@ def sampled_lab(seed: int) -> Scene:
         f"rate = {rate:g}", f"delay = {delay:.2f}", f"lag = {lag:.4f}", f"drive_lag = {lag / 2:.4f}",
         f"counts = {counts}", f"cart_resolution = {resolution:.3g}", f"jitter = {jitter:.3g}",
         f"zero_error = {rng.uniform(0, 0.02):.4f}", f"initial_error = {rng.uniform(0, 0.03):.4f}",
-        f"mismatch = {MISMATCH}", f"travel = {factors['half track']:.3f}",
+        f"mismatch = {MISMATCH}", f"travel = {track:.3f}",
     ]  # fmt: skip
     if not known:
         rig.append(f'plant = "{name}-plant.toml"')
@@ -81,11 +81,6 @@ def sampled_lab(seed: int) -> Scene:
         seed, arms.text(f"Arms of ordinary laboratory {seed}", coulomb=known),
         "" if known else arms.text(f"Plant of ordinary laboratory {seed}", coulomb=True),
         "\n".join([*head, *lines, "", "[run]", *rig]) + "\n",
-        {
-            "arms": count, **factors, "Coulomb share": share, "Coulomb known": "yes" if known else "no",
-            "rate": rate, "delay": delay, "lag": lag, "counts": counts, "cart resolution": resolution,
-            "jitter": jitter * rate,
-        },
         "lab",
     )  # fmt: skip
 

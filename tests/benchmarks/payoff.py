@@ -1,6 +1,6 @@
 """What tubes buy: flights found along tubes, and by direct optimisation without them.
 
-    python tests/benchmarks/payoff.py            # minutes on two cores; --quick stores nothing
+    python tests/benchmarks/payoff.py            # minutes on two cores
 
 Every flight is one program, regardless of the method:
 
@@ -44,6 +44,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BarycentricInterpolator
+from textbook import TwoArms
 
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, compiled_step
@@ -104,29 +105,12 @@ def flight(name: str, walk: tuple[str, ...], energy: float) -> tuple[ReferencePr
     return problem, spent
 
 
-# --- Independent of the engine: equations written out, scipy's integrator, effort as a state.
+# --- Independent of the engine: the textbook's equations, scipy's integrator, effort as a state.
 
 
 def motion_rate(x: Array, u: Array) -> Array:
-    """Return ẋ (6, K) of two arms on a cart, for states (6, K) and accelerations (K,).
-
-        A ω₁' + C cos(θ₁-θ₂) ω₂' = -C sin(θ₁-θ₂) ω₂² - G₁ sin θ₁ - (G₁/g) cos θ₁ u - k₁ ω₁ - k₂ (ω₁ - ω₂)
-        B ω₂' + C cos(θ₁-θ₂) ω₁' =  C sin(θ₁-θ₂) ω₁² - G₂ sin θ₂ - (G₂/g) cos θ₂ u - k₂ (ω₂ - ω₁)
-
-    A = m₁a₁² + m₂ℓ₁² + J₁, B = m₂a₂² + J₂, C = m₂ℓ₁a₂, G₁ = (m₁a₁ + m₂ℓ₁)g, G₂ = m₂a₂g.
-    """
-    (m1, m2), (a1, a2), (j1, j2), l1 = ARMS.mass, ARMS.centre_of_mass, ARMS.inertia, ARMS.length[0]
-    g, (k1, k2) = ARMS.gravity, ARMS.viscous
-    a, b, c = m1 * a1**2 + m2 * l1**2 + j1, m2 * a2**2 + j2, m2 * l1 * a2
-    s1, s2 = m1 * a1 + m2 * l1, m2 * a2
-    angle_1, angle_2, rate_1, rate_2, _, velocity = x
-    cosine, sine = c * np.cos(angle_1 - angle_2), c * np.sin(angle_1 - angle_2)
-    drag = k2 * (rate_1 - rate_2)
-    force_1 = -sine * rate_2**2 - s1 * (g * np.sin(angle_1) + np.cos(angle_1) * u) - k1 * rate_1 - drag
-    force_2 = sine * rate_1**2 - s2 * (g * np.sin(angle_2) + np.cos(angle_2) * u) + drag
-    determinant = a * b - cosine**2
-    turn_1, turn_2 = (b * force_1 - cosine * force_2) / determinant, (a * force_2 - cosine * force_1) / determinant
-    return np.array([rate_1, rate_2, turn_1, turn_2, velocity, u])
+    """Return ẋ (6, K) of two arms on a cart, for states (6, K) and accelerations (K,), by the textbook."""
+    return np.array([*TwoArms(ARMS, viscous=ARMS.viscous).slope(x, u), x[5], u])
 
 
 def recomputed(motion: Trajectory, ends: tuple[Array, Array], limits: Limits) -> float:
@@ -438,13 +422,11 @@ def draw(rows: Sequence[Mapping[str, Any]], picture: Path) -> None:
 
 def main() -> None:
     """Search all flights by all methods, store the rows, draw them and print the table."""
-    quick = "--quick" in sys.argv
-    jobs = [(which, Tries(2, 1, 1, 2) if quick else Tries()) for which in (FLIGHTS[::4] if quick else FLIGHTS)]
+    jobs = [(which, Tries()) for which in FLIGHTS]
     found = in_processes(compared, jobs, processors())
     rows = [row for _, flights in sorted(found, key=lambda pair: jobs.index(pair[0])) for row in flights]
-    if not quick:
-        STORE.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-        draw(rows, PICTURE)
+    STORE.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    draw(rows, PICTURE)
     sys.stdout.write(f"{guide_table(rows)}\n")
 
 

@@ -9,6 +9,9 @@ Every scene's row is stored in FOLDER/rows.json when its runs are done; stored r
 """
 
 import json
+import resource
+import signal
+import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -16,9 +19,11 @@ from pathlib import Path
 
 import numpy as np
 from generated_scenes import Scene, sampled_scene
+from independent_decoder import plan_of
 from ordinary_labs import sampled_lab
-from scene_flights import flown_scene, planned_scene, unfound
+from verdict_runs import disagreement, runs as flown_runs
 
+from dpcontrol.judge.score import verdict_on
 from dpcontrol.plans.cautions import cautions_of
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.references.reference import load_reference
@@ -28,15 +33,29 @@ LIMIT = 240.0
 """Processor time for planning one scene, s."""
 
 
+def _limit_time() -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (round(LIMIT), round(LIMIT) + 5))
+
+
+def planned_scene(scene: Scene, folder: Path) -> tuple[str, str]:
+    """Plan a scene within `LIMIT`, and return the outcome ("planned", "refused" or "timeout") and the reason."""
+    path, plan = scene.write(folder), folder / f"{scene.name}.npz"
+    command = [sys.executable, "-m", "dpcontrol", "plan", str(path), "--out", str(plan), "--workers", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=_limit_time)
+    if done.returncode == 0 and plan.is_file():
+        return "planned", ""
+    if done.returncode == -signal.SIGXCPU:
+        return "timeout", f"not planned in {LIMIT:g} s of processor time"
+    return "refused", f"exit {done.returncode}: {done.stderr.strip()[-900:]}"
+
+
 @dataclass(frozen=True)
 class SceneRow:
-    """A scene with the outcome of its planning, what independent searches do not find, its cautions and its runs."""
+    """A scene with the outcome of its planning, its cautions and its runs."""
 
     seed: int
-    factors: dict[str, float | str]
     outcome: str
     reason: str
-    unfound: tuple[str, ...] = ()
     cautions: dict[str, float] = field(default_factory=dict)
     runs: int = 0
     completed: int = 0
@@ -45,38 +64,30 @@ class SceneRow:
 
 
 def scene_row(scene: Scene, folder: Path, runs: int) -> SceneRow:
-    """Plan a scene, list its cautions, fly it, and return its row.
-
-    Args:
-        scene: scene to write, plan and fly.
-        folder: folder of its files.
-        runs: number of runs, whose seeds begin at 1000 times the scene's.
-    """
-    planned = planned_scene(scene, folder, limit=LIMIT)
-    row = SceneRow(scene.seed, scene.factors, planned.outcome, planned.reason)
-    if planned.outcome != "planned":
-        return replace(row, unfound=unfound(folder / f"{scene.name}.toml"))
+    """Plan a scene, list its cautions, fly it, judge each run by its score and the independent decoder, and sum up."""
+    outcome, reason = planned_scene(scene, folder)
+    row = SceneRow(scene.seed, outcome, reason)
+    if outcome != "planned":
+        return row
     path, first = folder / scene.name, 1000 * scene.seed
-    cautions = cautions_of(load_itinerary(f"{path}.toml"), load_reference(path.with_suffix(".npz")))
-    flown = flown_scene(scene, folder, seeds=range(first, first + runs))
+    itinerary, reference = load_itinerary(f"{path}.toml"), load_reference(path.with_suffix(".npz"))
+    limits = itinerary.loop.limits(reference.limits)
+    plan = plan_of(reference, itinerary.loop.rate, (limits.position, limits.velocity, limits.acceleration))
+    cases = list(flown_runs(itinerary, reference, {}, list(range(first, first + runs))))
+    verdicts = [verdict_on(case.flown, reference) for case in cases]
+    told = [disagreement(case, reference, plan) for case in cases]
     return replace(
         row,
-        cautions={caution.cause.value: caution.figure for caution in cautions},
+        cautions={caution.cause.value: caution.figure for caution in cautions_of(itinerary, reference)},
         runs=runs,
-        completed=sum(run.completed for run in flown),
-        causes=tuple(sorted({run.cause for run in flown if not run.completed})),
-        false_verdicts=tuple(run.disagreement for run in flown if run.disagreement),
+        completed=sum(verdict.completed for verdict in verdicts),
+        causes=tuple(sorted({verdict.cause for verdict in verdicts if not verdict.completed})),
+        false_verdicts=tuple(text for text in told if text),
     )
 
 
 def share_line(name: str, successes: Sequence[int], runs: Sequence[int]) -> str:
-    """Return a line of the table: scenes, those that complete all, runs, their share and its lower end.
-
-    Args:
-        name: name of the line.
-        successes: successful runs (S,) of each scene.
-        runs: all runs (S,) of each scene.
-    """
+    """Return a line of the table: scenes, those that complete all, runs, their share and its lower end."""
     good, most = np.array(successes), np.array(runs)
     if not len(good):
         return f"| {name} | 0 | | | | |"
@@ -87,11 +98,7 @@ def share_line(name: str, successes: Sequence[int], runs: Sequence[int]) -> str:
 
 
 def table(rows: Sequence[SceneRow]) -> str:
-    """Return the lines of the table and a sentence about the cautions.
-
-    Args:
-        rows: rows of `scene_row`.
-    """
+    """Return the lines of the table and a sentence about the cautions."""
     flown = [row for row in rows if row.outcome == "planned"]
     warned, silent = ([row for row in flown if bool(row.cautions) is wanted] for wanted in (True, False))
     low = [row for row in flown if row.completed < 0.9 * row.runs]

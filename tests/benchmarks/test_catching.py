@@ -15,7 +15,7 @@ from dpcontrol.judge.score import Flown, verdict_on
 from dpcontrol.logs import CATCH, RESUME, RETURN
 from dpcontrol.loop import recovery
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.result import BatchRun, Ending, LoopSink
+from dpcontrol.loop.result import BatchRun, Events
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.night import night_itinerary
@@ -32,16 +32,9 @@ ITINERARY, SPARED = "round-trip", 1
 """Where catching spares at least so many falls."""
 
 
-class Told(LoopSink):
-    def __init__(self) -> None:
-        self.events: list[tuple[float, str]] = []
-
-    def event(self, event) -> None:
-        if event.name in (CATCH, RESUME) or (event.name == RETURN and event.level == "warn"):
-            self.events.append((event.time, event.name))
-
-    def times(self, which: str) -> list[float]:
-        return [time for time, name in self.events if name == which]
+def times(sink: Events, which: str) -> list[float]:
+    """Return when something happened, of returns those after a fall, s."""
+    return [event.time for event in sink.kept if event.name == which and (which != RETURN or event.level == "warn")]
 
 
 @pytest.mark.parametrize("name", ["outer-turn", "turn-from-rest"])
@@ -53,18 +46,13 @@ def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
     how = Assembly(plan.reference, scene.model.arms, scene.loop, law=law, stays=stays(plan.reference)).recovery
     done, falls, catches, back = 0, 0, 0, list[float]()
     for seed in BLOWN:
-        told, settings = Told(), replace(scene.loop, seed=seed)
+        told, settings = Events(), replace(scene.loop, seed=seed)
         result = Assembly(plan.reference, scene.model.arms, settings, law=law).simulate(recovery=how, sink=told)
-        run, limits = BatchRun.of(result), settings.limits(plan.reference.limits)
-        flown = Flown(
-            time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied,
-            rate_hz=settings.rate, limits=(limits.position, limits.velocity, limits.acceleration),
-            end=None if result.ending is Ending.FINISHED else result.end, stretches=result.stretches,
-        )  # fmt: skip
+        flown = Flown.of(BatchRun.of(result), rate_hz=settings.rate, limits=settings.limits(plan.reference.limits))
         done += verdict_on(flown, plan.reference).completed
-        falls, catches = falls + result.falls, catches + len(told.times(CATCH))
-        resumed = np.array(told.times(RESUME))
-        back += [float(resumed[resumed > time].min(initial=math.inf)) - time for time in told.times(RETURN)]
+        falls, catches = falls + result.falls, catches + len(times(told, CATCH))
+        resumed = np.array(times(told, RESUME))
+        back += [float(resumed[resumed > time].min(initial=math.inf)) - time for time in times(told, RETURN)]
     back = [seconds for seconds in back if seconds < math.inf] or [0.0]
     sys.stdout.write(
         f"\n{name}, {impulse} N m s: {done} completed, {falls} falls, {catches} catches, "
@@ -85,10 +73,10 @@ def test_catching_spares_falls(monkeypatch) -> None:
                 patch.setattr(recovery, "_FAR", math.inf)
             falls[catches] = caught = 0
             for seed in SEEDS:
-                told = Told()
+                told = Events()
                 until = round(SECONDS * scene.loop.rate)
                 assembly.simulate(draw=assembly.draw(seed=seed), sink=told, until=until, keep=False)
-                falls[catches] += len(told.times(RETURN))
-                caught += len(told.times(CATCH))
+                falls[catches] += len(times(told, RETURN))
+                caught += len(times(told, CATCH))
         sys.stdout.write(f"\ncatching {catches}: {falls[catches]} falls, caught {caught} times\n")
     assert falls[False] - falls[True] >= SPARED

@@ -7,8 +7,6 @@ on a plant that equals the model.
 About twenty minutes of one core; `-k cross` runs one itinerary alone.
 """
 
-import json
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -43,8 +41,6 @@ def test_after_one_run_feedback_only_works_against_noise(name: str) -> None:
     found = [second_run(name, 0.1, seed) for seed in range(PLANTS)]
     after = np.array([one["after"] for one in found])
     beyond = float(np.sqrt(np.mean([np.square(one["errors"]) for one in found])))
-    shown = {"scene": name, "noise": level.tolist(), "quantiles": np.quantile(after / level, [0.5, 0.9, 1.0]).tolist()}
-    sys.stdout.write(f"\n{json.dumps({**shown, 'errors_over_sigma': beyond, 'runs': found})}\n")
     assert np.mean(after <= NOISE * level) >= SHARE
     assert not any(one["after"] > WORSE * one["before"] for one in found)
     assert CONSISTENT[0] < beyond < CONSISTENT[1]
@@ -53,9 +49,7 @@ def test_after_one_run_feedback_only_works_against_noise(name: str) -> None:
 @pytest.mark.parametrize("name", SCENES)
 def test_second_runs_of_plants_that_differ_by_thirty_percent_complete(name: str) -> None:
     found = [second_run(name, 0.3, seed) for seed in range(PLANTS)]
-    rates = {key: float(np.mean([one[key] for one in found])) for key in ("first", "second")}
-    sys.stdout.write(f"\n{json.dumps({'scene': name, **rates, 'runs': found})}\n")
-    assert rates["second"] >= COMPLETED
+    assert np.mean([one["second"] for one in found]) >= COMPLETED
 
 
 def second_run(name: str, mismatch: float, seed: int) -> dict[str, Any]:
@@ -65,12 +59,14 @@ def second_run(name: str, mismatch: float, seed: int) -> dict[str, Any]:
     try:
         learnt = first.learn()
     except GoalMissed as error:
-        return {"seed": seed, "first": first.converged, "second": False, "before": before, "missed": str(error)}
+        return {"second": False, "before": before, "missed": str(error)}
     second = again(learnt.plan, first, seed=seed + FRESH)
     return {
-        "seed": seed, "first": first.converged, "second": second.converged, "before": before,
-        "expected": learnt.effort_expected, "after": effort_of(second), "errors": errors_of(learnt, first).tolist(),
-    }  # fmt: skip
+        "second": second.converged,
+        "before": before,
+        "after": effort_of(second),
+        "errors": errors_of(learnt, first),
+    }
 
 
 def again(plan: Plan, first: Run, *, seed: int) -> Run:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from payoff import ARMS, SETTINGS, STORE, TUBES, Tries, compared, guide_table, motion_rate, recomputed, shot
+from payoff import ARMS, SETTINGS, STORE, TUBES, Tries, compared, guide_table, motion_rate, recomputed
 from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.chain import Level, equations_of
@@ -18,7 +18,6 @@ GUIDE = Path(__file__).parents[2] / "dpcontrol" / "guide" / "payoff.md"
 EQUATIONS = equations_of(ARMS, Level.CART)
 SWUNG = np.array([0.7, -0.4, 2.0, -3.0, 0.01, 0.1])
 ROUNDING = 1e-12
-SHOOTING = 1e-7  # Of a step of order 8 over 10 ms.
 
 
 def free_fall(seconds: float = 0.3) -> Trajectory:
@@ -53,18 +52,6 @@ def test_a_motion_is_recognised_with_its_effort_and_other_motions_are_rejected()
     assert recomputed(motion, elsewhere, Limits()) == np.inf
     assert recomputed(motion, ends, Limits(acceleration=0.5)) == np.inf
     assert recomputed(motion, ends, Limits(position=0.01)) == np.inf
-
-
-def test_shooting_agrees_with_scipy() -> None:
-    inputs = np.tile(np.linspace(-1, 1, 20)[:, None], 8)
-    states = shot(SWUNG, inputs, 0.01)
-    x = SWUNG
-    for u in inputs[:, 0]:
-        x = solve_ivp(
-            lambda _, x, u=u: motion_rate(x[:, None], np.array([u]))[:, 0],
-            (0, 0.01), x, rtol=1e-12, atol=1e-13, method="DOP853",
-        ).y[:, -1]  # fmt: skip
-    assert np.abs(states[-1] - x[:, None]).max() < SHOOTING
 
 
 def test_the_guide_has_the_table_of_the_stored_tries() -> None:

@@ -2,22 +2,22 @@
 
     pytest -m benchmark tests/benchmarks/test_polished_effort.py -s
 
-The independent optimum has equations from a Lagrangian, casadi's Opti, trapezoidal collocation every 10 ms, and starts
+The independent optimum has the textbook's equations, casadi's Opti, trapezoidal collocation every 10 ms, and starts
 from the same robust plan, with the same ends, time, holds and limits. Where its free optimum leaves the walk, it is
 held to the robust plan by a weight, as small as keeps it.
 """
 
 import sys
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
-from independent_planner import acceleration
+from textbook import TwoArms
 
 from dpcontrol import api
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.plans.plan import Plan
 from dpcontrol.references.reference import Reference
 from dpcontrol.runs.polish import SHARE, departure, stretches
@@ -49,6 +49,13 @@ class Sampled:
         return np.stack([np.interp(times, clock, column) for column in self.states.T], axis=-1)
 
 
+def acceleration(arms: ArmChainParameters) -> ca.Function:
+    """Return (state, input) -> rate of change, for arms on a cart with prescribed acceleration, by the textbook."""
+    state, push = ca.SX.sym("x", 6), ca.SX.sym("u")
+    rate = ca.vertcat(*TwoArms(arms, viscous=arms.viscous).slope(state, push), state[5], push)
+    return ca.Function("rate", [state, push], [rate])
+
+
 def joint_optimum(plan: Plan, begin: float, end: float, weight: float) -> tuple[np.ndarray, float]:
     """Return states (K, 6) and effort of the optimum from `begin` to `end` s, started at the plan."""
     count = round((end - begin) / STEP) + 1
@@ -57,7 +64,7 @@ def joint_optimum(plan: Plan, begin: float, end: float, weight: float) -> tuple[
     first, pushes = robust.state(times).T, robust.input(times).T
     opti = ca.Opti()
     x, u = opti.variable(6, count), opti.variable(1, count)
-    slope = acceleration(tomllib.loads(plan.itinerary.model.text)).map(count)(x, u)
+    slope = acceleration(plan.itinerary.model.arms).map(count)(x, u)
     opti.subject_to(ca.vec(x[:, 1:] - x[:, :-1] - h / 2 * (slope[:, 1:] + slope[:, :-1])) == 0)
     opti.subject_to(x[:, 0] == first[:, 0])
     opti.subject_to(x[:, -1] == first[:, -1])

@@ -1,4 +1,4 @@
-"""Where references end: friction, track and acceleration, for a turn and a crossing; the table, and a picture of it.
+"""Where references end: friction, track and acceleration, for a turn and a crossing; and a picture of it.
 
     pytest -m benchmark tests/benchmarks/test_reference_edges.py -s
 
@@ -7,7 +7,6 @@ takes without limits, by moving the cart more quickly to and fro; of the acceler
 """
 
 import os
-import sys
 from dataclasses import replace
 from functools import partial
 
@@ -21,7 +20,7 @@ from dpcontrol.pages.layout import Page, key, save_figure
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.planning import shadowing_orbit
 from dpcontrol.references.find import find_reference
-from dpcontrol.references.problem import Limits, ReferenceProblem
+from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
 
 FRICTION = (0.0, 0.5, 1.0, 2.0, 5.0, 8.0, 12.0, 16.0)
 SHARES = {
@@ -39,7 +38,8 @@ def edges_of(name):
     def found_with(friction=1.0, **limits):
         parameters = replace(arms, viscous=tuple(friction * k for k in arms.viscous)).base()
         equations, limits = arm_chain_equations(2, Level.CART), replace(Limits(), **limits)
-        return find_reference(ReferenceProblem(equations, parameters, orbit.states, orbit.duration, limits))
+        problem = ReferenceProblem(equations, parameters, orbit.states, orbit.duration, limits)
+        return find_reference(problem, ReferenceSettings())
 
     free = found_with()
     takes = {"position": free.max_cart_position, "acceleration": free.max_cart_acceleration}
@@ -91,11 +91,6 @@ def drawn(edges):
 @pytest.mark.benchmark
 def test_the_edges_of_references():
     edges = {name: edges_of(name) for name in NAMES}
-    for name, (rows, takes) in edges.items():
-        for kind, row in rows.items():
-            sys.stdout.write(f"\n{name}, {kind}, taken without limits: {takes.get(kind, 0.0):.4g}\n")
-            for value, good, rms in row:
-                sys.stdout.write(f"  {value:8.4g}  {f'{rms:.4f} m/s² rms' if good else 'none'}\n")
     if "DPCONTROL_EDGES_PICTURE" in os.environ:
         save_figure(drawn(edges), os.environ["DPCONTROL_EDGES_PICTURE"])
     for rows, takes in edges.values():

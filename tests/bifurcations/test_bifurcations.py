@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from quick_rate import quick_rate
-from scipy.integrate import solve_ivp
+from quick_rate import flown_by_scipy
 
 from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings, find_bifurcations
-from dpcontrol.bifurcations.links import LinkProblem, Quantity, carry, follow
+from dpcontrol.bifurcations.links import Quantity, follow
 from dpcontrol.foundation.causes import BranchCause
 from dpcontrol.orbits.cut import CutSettings, section_points
 from dpcontrol.orbits.manifold import UnstableManifold
@@ -84,14 +83,6 @@ def test_each_event_has_its_kind_and_counts(events, name, expected):
     assert found[0].symmetric
 
 
-def test_counts_of_searches_change_at_the_located_energies(system, events):
-    for name in (SADDLE_NODE, PITCHFORK):
-        event = events[name][0]
-        sweep = Sweep(Quantity.of_energy(system), "down-up", "down-up", 1, SweepSettings())
-        counts = [sweep.search(event.energy + d).count for d in (-2e-6, 2e-6)]
-        assert counts == [event.count_below, event.count_above]
-
-
 @pytest.mark.slow
 def test_an_interval_that_ends_just_beyond_a_pitchfork_includes_it(system, events):
     energy = events[PITCHFORK][0].energy
@@ -140,27 +131,13 @@ def test_energies_are_independent_of_sampling_and_seed_distance(model, saddles, 
             assert np.abs(one.state - other.state)[2:].max() < 1e-5
 
 
-@pytest.mark.slow
-def test_every_change_in_a_small_sweep_is_explained(system):
-    found = located(system, (-0.15, -0.09), samples=4)
-    assert found.complete
-    assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [
-        ("saddle-node", 0, 4),
-        ("pitchfork", 4, 8),
-    ]
-    assert [c.count for c in found.counts] == [0, 4, 4, 8]
-    assert found.unexplained == ()
-
-
 @pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK], ids=["saddle-node", "pitchfork"])
 def test_the_state_at_a_bifurcation_reaches_its_orbit_in_both_directions(system, events, name):
     event = events[name][0]
     orbit, _ = orbits_between(system, "down-up", "down-up", event.energy)
     curve = system.propagator.sample(orbit.state, np.linspace(0, orbit.period, 4000))
-    f = quick_rate(system.equations)
     for sign in (1, -1):
-        rate = lambda t, x, s=sign: s * np.array(f(x, [], system.parameters)).ravel()  # noqa: E731
-        flown = solve_ivp(rate, (0, 1.25), event.state, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+        flown = flown_by_scipy(system, event.state, sign * 1.25)
         # With 4,000 samples, chords are about 5e-4 of the orbit's length.
         assert system.scaled_distance(np.broadcast_to(flown, curve.shape), curve).min() < 1e-3
 
@@ -209,16 +186,6 @@ def test_continuation_finds_a_connection_that_a_search_misses(system, monkeypatc
     assert len(interval.runs) == len(whole.points)
 
 
-def test_a_tangency_between_samples_is_found_from_both_sides(system):
-    """A pitchfork's pair is followed from above. Its path turns at the symmetric connection and returns."""
-    sweep = Sweep(Quantity.of_energy(system), "down-up", "down-up", 1, SweepSettings())
-    below, above = sweep.search(PITCHFORK[0]), sweep.search(PITCHFORK[1])
-    problem = LinkProblem(Quantity.of_energy(system), "down-up", "down-up", distance=1e-4)
-    problem.manifolds(PITCHFORK[1])
-    assert [problem.symmetry(p.link) for p in below.points] == [1, 1]
-    assert sorted(str(problem.symmetry(p.link)) for p in above.points) == ["1", "1", "None", "None"]
-
-
 def test_a_path_passes_a_fold_and_returns_as_the_partner(system, events):
     fold = events[SADDLE_NODE][0].energy
     sweep = Sweep(Quantity.of_energy(system), "down-up", "down-up", 1, SweepSettings())
@@ -237,16 +204,6 @@ def test_a_path_passes_a_fold_and_returns_as_the_partner(system, events):
     signs = np.sign([p.tangency for p in path.points])
     assert np.count_nonzero(np.diff(signs)) == 1
     assert max(np.abs(sweep.problem.match(p.link, p.value).gap).max() for p in path.points) < 1e-8
-
-
-@pytest.mark.slow
-def test_continuation_without_turns_stops_at_a_fold(system):
-    sweep = Sweep(Quantity.of_energy(system), "down-up", "down-up", 1, SweepSettings())
-    point = sweep.search(SADDLE_NODE[1]).points[0]
-    assert carry(sweep.problem, point, SADDLE_NODE[0]) is None
-    arrived = carry(sweep.problem, point, -0.1400)
-    assert arrived is not None
-    assert sweep.among(arrived.link, sweep.search(-0.1400).points) is not None
 
 
 @pytest.mark.benchmark

@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from command_line import dpcontrol
 
+from dpcontrol.foundation.shipped import find
+
 LINES = {
     # Names, and files that are not there.
     "model lba": "'lab'",
@@ -77,10 +79,11 @@ def test_a_user_error_on_the_command_line_is_named(line: str) -> None:
 
 
 @pytest.mark.parametrize("mistake", MODEL)
-def test_a_user_error_in_a_model_is_named(mistake: str, shipped_text: dict[str, str]) -> None:
+def test_a_user_error_in_a_model_is_named(mistake: str) -> None:
     text, replacement, naming = MODEL[mistake]
-    assert text in shipped_text["lab"]
-    Path("mine.toml").write_text(shipped_text["lab"].replace(text, replacement))
+    shipped = find("models", "lab").read_text()
+    assert text in shipped
+    Path("mine.toml").write_text(shipped.replace(text, replacement))
     refused("model", "mine.toml", naming=naming)
     refused("orbit", "mine.toml", "--saddle", "down-up", "--energy", "-0.07", naming="mine.toml")
 

@@ -39,14 +39,6 @@ def test_a_function_is_a_verb_by_one_line(verb: click.Command) -> None:
     assert json.loads(done.stdout) == {"model": "lab", "angles": [1.0, 2.5], "copies": 1, "still": True}
 
 
-def test_help_is_the_docstring_with_the_defaults(verb: click.Command) -> None:
-    text = " ".join(CliRunner().invoke(verb, ["--help"]).stdout.split())
-    assert "MODEL Return the energy of arms at rest." in text
-    assert "--angles <FLOAT FLOAT>... Absolute angles, rad. [default: hanging]" in text
-    assert "--still No swing at all." in text
-    assert "Example: dpcontrol swing lab" in text
-
-
 def test_the_function_refuses_what_it_cannot_take(verb: click.Command) -> None:
     done = CliRunner().invoke(verb, ["lab", "--copies", "0"], standalone_mode=False)
     assert str(done.exception).startswith("copies = 0: must be")

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from command_line import dpcontrol
 
+from dpcontrol.foundation.shipped import find
+
 BROKEN = r"[/nope] \u001b[31mred \u009b1m $\\frac{$ :smile:"
 """A title as TOML writes it: rich's markup, ANSI sequences, half a formula, an emoji's name."""
 SHOWN = r"[/nope] \x1b[31mred \x9b1m $\frac{$ :smile:"
@@ -46,8 +48,8 @@ def test_an_error_that_no_verb_foresaw_is_one_sentence_and_a_traceback_in_a_file
     assert "please report it" in document["status"]
 
 
-def test_user_text_is_printed_unchanged_and_cannot_control_the_terminal(shipped_text: dict[str, str]) -> None:
-    text = re.sub("(?m)^title = .*$", lambda _: f'title = "{BROKEN}"', shipped_text["lab"])
+def test_user_text_is_printed_unchanged_and_cannot_control_the_terminal() -> None:
+    text = re.sub("(?m)^title = .*$", lambda _: f'title = "{BROKEN}"', find("models", "lab").read_text())
     Path("mine.toml").write_text(text)
     ended = dpcontrol("model", "mine.toml")
     assert ended.code == 0

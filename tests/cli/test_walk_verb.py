@@ -2,42 +2,16 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pytest
 from command_line import dpcontrol
 from independent_pendulum import flow
-
-from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.progress import Progress
-from dpcontrol.walks import edges
 
 BETWEEN_NODES = 1e-9
 """From node to node by an independent integrator at 1e-12 relative; the segments are an eighth of a period long."""
 LOW = ("walk", "lab", "--energy", "-0.07")
 TURN = ("-s", "down-up +")
 BACK = ("-s", "down-up -")
-
-
-@pytest.fixture(scope="module")
-def graphs() -> dict[Any, Any]:
-    """Graphs by the arguments of their search."""
-    return {}
-
-
-@pytest.fixture(autouse=True)
-def each_graph_once(graphs: dict[Any, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Share the search of each graph between all calls, most of which test later steps."""
-
-    def found(system: System, energy: float, *, hits: Any, symbols: Any, yes: bool, progress: Progress) -> edges.Edges:
-        key = (system.name, energy, *sorted(hits), *symbols)
-        if key not in graphs:
-            graphs[key] = search(system, energy, hits=hits, symbols=symbols, yes=yes, progress=progress)
-        return graphs[key]
-
-    search = edges.find_edges
-    monkeypatch.setattr(edges, "find_edges", found)
 
 
 def test_numpy_reads_the_output_which_satisfies_the_equations(tmp_path: Path) -> None:

@@ -63,12 +63,6 @@ def test_nearest_arms_have_the_requested_ratios(arms: ArmChainParameters) -> Non
     assert base_ratios(nearest_arms(wanted, arms)) == pytest.approx(wanted, rel=1e-9)
 
 
-def test_arms_with_the_requested_ratios_are_unchanged() -> None:
-    again = nearest_arms(base_ratios(LAB), LAB)
-    assert again.mass == pytest.approx(LAB.mass, rel=EXACT)
-    assert again.inertia == pytest.approx(LAB.inertia, rel=EXACT)
-
-
 def test_the_nearest_arms_agree_with_constrained_minimisation() -> None:
     wanted = base_ratios(LAB) * np.array([1.02, 0.99, 1.01, 1.015, 1, 1, 1, 1, 1, 1])
     columns = ("mass", "centre_of_mass", "inertia")
@@ -89,13 +83,6 @@ def test_the_nearest_arms_agree_with_constrained_minimisation() -> None:
     distance = logs @ logs + np.log(ours.length[0] / LAB.length[0]) ** 2
     assert found.success
     assert distance == pytest.approx(found.fun, rel=1e-3, abs=MINIMISED)
-
-
-def test_friction_laws_are_added_at_zero_and_removed() -> None:
-    plain = with_laws(LAB, ())
-    assert plain.friction == ()
-    assert with_laws(plain, (Friction.QUADRATIC,)).quadratic == (0.0, 0.0)
-    assert with_laws(LAB, tuple(Friction)) == LAB
 
 
 def test_ratios_of_friction_below_zero_become_zero_and_those_of_no_pendulum_are_refused() -> None:

@@ -85,23 +85,6 @@ def test_a_trajectory_is_independent_of_the_others(pendulum, states):
             assert np.array_equal(ends[k : k + 1], of_one, equal_nan=True)
 
 
-def test_a_trajectory_with_many_turns_meets_every_sheet(pendulum):
-    state = np.array([0.3, 0.2, 25.0, 60.0])
-    expected = by_bracketing(pendulum, LIFTED, state, 1.0)
-    assert len(expected) >= 6
-    found = [pendulum.crossing(state, LIFTED, longest=1.0, hit=k + 1) for k in range(len(expected))]
-    assert np.allclose([c.time for c in found], expected, atol=TIME)
-    sheets = [c.state[1] / (2 * np.pi) for c in found]
-    assert np.allclose(sheets, np.rint(sheets), atol=1e-14)
-    assert len(set(np.rint(sheets))) >= 6
-
-
-def test_a_section_with_one_sheet_is_reached_as_accurately_as_by_plain_propagation(pendulum):
-    system, state = load_model("lab").system, np.array([0.4, 2.9, 6.0, -3.0])
-    crossing = pendulum.crossing(state, LEVEL, longest=5.0, hit=4)
-    assert abs(system.numeric.hamiltonian(crossing.state) - system.numeric.hamiltonian(state)) < 1e-13
-
-
 def test_a_nonfinite_state_does_not_arrive_or_affect_others(pendulum, states):
     expected, times = pendulum.crossings(states[1:4], LIFTED, longest=LONGEST)
     spoilt = np.vstack([states[1], [np.nan] * 4, states[2:4], [0, 0, np.inf, 0]])

@@ -152,14 +152,6 @@ def test_each_joint_has_its_coulomb_torque_and_each_arm_its_air_drag(arms):
         assert np.allclose(mass.mass_matrix(state[: 2 * n]) @ change[n : 2 * n], expected, rtol=1e-9, atol=1e-12)
 
 
-def test_absent_friction_laws_are_not_in_the_equations():
-    arms = load_model("lab").parameters
-    assert equations_of(arms, Level.CART) is arm_chain_equations(2, Level.CART, friction=())
-    assert len(with_all_friction(arms).base()) == len(arms.base()) + 5
-    assert np.array_equal(with_all_friction(arms).base()[: len(arms.base())], arms.base())
-    assert with_all_friction(arms).frictionless() == replace(arms.frictionless(), smoothing=0.2)
-
-
 def test_mismatch_draws_the_same_arms_with_and_without_other_friction_laws():
     arms = load_model("lab").parameters
     plain, rubbing = (a.mismatched(0.1, np.random.default_rng(4)) for a in (arms, with_all_friction(arms)))

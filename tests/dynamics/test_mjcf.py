@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 from scipy.integrate import solve_ivp
+from textbook import TwoArms
 
 import dpcontrol as dp
 from dpcontrol.plans.model import load_model
@@ -37,20 +38,9 @@ def moved(text: str, *, clamped: bool, push: float = 0.0) -> np.ndarray:
 
 
 def by_hand(*, viscous: tuple[float, float] = (0.0, 0.0), push: float = 0.0) -> np.ndarray:
-    """Return the same by Lagrange's equations for two arms on an accelerated cart."""
-    m, a, j, g = LAB.mass, LAB.centre_of_mass, LAB.inertia, LAB.gravity
-    inner = LAB.length[0]
-    s1, s2 = m[0] * a[0] + m[1] * inner, m[1] * a[1]
-    m11, m22, m12 = j[0] + m[0] * a[0] ** 2 + m[1] * inner**2, j[1] + m[1] * a[1] ** 2, m[1] * a[1] * inner
-
-    def slope(_: float, y: np.ndarray) -> list[float]:
-        (p, q, w, v), joint = y, viscous[1] * (y[3] - y[2])
-        c, s = np.cos(p - q), np.sin(p - q)
-        force = [-m12 * s * v**2 - s1 * (g * np.sin(p) + push * np.cos(p)) - viscous[0] * w + joint,
-                 m12 * s * w**2 - s2 * (g * np.sin(q) + push * np.cos(q)) - joint]  # fmt: skip
-        return [w, v, *np.linalg.solve([[m11, m12 * c], [m12 * c, m22]], force)]
-
-    return solve_ivp(slope, (0, 1), START, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    """Return the same by the textbook and scipy."""
+    arms = TwoArms(LAB, viscous=viscous)
+    return solve_ivp(lambda _, y: arms.slope(y, push), (0, 1), START, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
 
 
 @pytest.mark.parametrize("viscous", [(0.0, 0.0), (2e-3, 5e-4)])

@@ -1,16 +1,14 @@
 """Families of Lyapunov orbits: members, ends and events."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 from scipy.special import mathieu_a
 
-from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.causes import FamilyEndCause
 from dpcontrol.orbits.family import FollowingSettings, lyapunov_family
-from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit
+from dpcontrol.orbits.lyapunov import equilibrium
 from tests.reference_values import LYAPUNOV_ORBITS
 
 STATE = 1e-9  # required; about 1e-12 is achieved
@@ -57,14 +55,6 @@ def test_energy_and_period_grow_together_and_multipliers_stay_reciprocal(familie
     assert np.abs(products - 1).max() < RECIPROCAL
 
 
-def test_members_agree_with_continuation_in_energy(families, system):
-    family = families["down-up"]
-    for member in family.members[10::15]:
-        alone = lyapunov_orbit(system, "down-up", energy=member.energy)
-        assert np.abs(alone.state - member.state).max() < STATE
-        assert alone.period == pytest.approx(member.period, abs=STATE)
-
-
 def test_the_member_at_a_bound_is_the_reference_orbit(system):
     family = lyapunov_family(system, "down-up", energies=(-0.07, 0.2))
     assert [end.cause for end in family.ends] == [FamilyEndCause.ENERGY_BOUND] * 2
@@ -76,31 +66,14 @@ def test_the_member_at_a_bound_is_the_reference_orbit(system):
         assert member.unstable_multiplier == pytest.approx(multiplier, rel=1e-8)
 
 
-def test_the_family_is_independent_of_the_step(families, system):
-    coarse = lyapunov_family(system, "down-up", energies=(-1.0, 0.2), settings=FollowingSettings(step=0.12))
-    assert len(coarse.members) < len(families["down-up"].members)
-    assert np.abs(coarse.members[-1].state - LYAPUNOV_ORBITS["lab", "down-up", 0.2][0]).max() < STATE
-
-
 def hill_system(growth, coupling):
     """H = ½(ẋ² + x²) + ½(ẏ² - growth y² + coupling x² y²): along y = 0, y obeys Mathieu's equation."""
-    state, none = ca.SX.sym("x", 4), ca.SX.sym("p", 1)
-    x, y, u, v = ca.vertsplit(state)
-    rate = ca.vertcat(u, v, -x - coupling * x * y**2, growth * y - coupling * x**2 * y)
-    energy = (u**2 + x**2 + v**2 - growth * y**2 + coupling * x**2 * y**2) / 2
-    equations = Equations(state, ca.SX.zeros(0), none, rate, energy, ca.vertcat(u, v), ca.SX.eye(2))
-    return System(
-        name="hill",
-        equations=equations,
-        parameters=np.ones(1),
-        equilibria={"origin": np.zeros(4)},
-        periods=np.full(4, np.inf),
-        reversers=(np.diag([1.0, 1, -1, -1]), np.diag([-1.0, 1, 1, -1])),
-        orientation=np.array([0.0, 0, 1, 0]),
-        scale=np.ones(4),
-        energy_scale=1.0,
-        sections={},
-    )
+
+    def hamiltonian(q, p, _):
+        (x, y), (u, v) = q, p
+        return (u**2 + x**2 + v**2 - growth * y**2 + coupling * x**2 * y**2) / 2
+
+    return System.from_hamiltonian("hill", hamiltonian, coordinates=("x", "y"), equilibria={"origin": (0.0, 0.0)})
 
 
 @pytest.mark.parametrize(("growth", "coupling"), [(1.0, 1.0), (0.5, 2.0)])

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import ContinuationSettings, SymmetricShooting, equilibria, lyapunov_orbit
-from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.plans.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS, SQUARED_EIGENVALUES
 
@@ -78,15 +77,6 @@ def test_just_above_the_saddle_the_orbit_is_the_linear_centre(systems):
     assert np.log(orbit.unstable_multiplier) == pytest.approx(growth * orbit.period, rel=1e-6)
 
 
-def test_the_orbit_is_independent_of_the_continuation_steps(systems):
-    coarse, fine = (
-        lyapunov_orbit(systems["lab"], "up-down", energy=0.2, settings=ContinuationSettings(step=step))
-        for step in (0.3, 0.01)
-    )
-    assert fine.period == pytest.approx(coarse.period, rel=1e-13)
-    assert np.abs(fine.state - coarse.state).max() < 1e-12
-
-
 @pytest.mark.parametrize("energy", [-1.505, -1.5, -1.495])
 def test_at_high_energies_the_orbit_belongs_to_its_family_for_any_step(systems, energy):
     """Other families cross nearby, so unchecked long steps end on orbits with less than half the period."""
@@ -117,20 +107,6 @@ def test_the_end_of_a_family_is_reported_after_few_arcs(systems, monkeypatch):
     assert max(flown) < 20 * orbit.period
 
 
-@pytest.mark.parametrize(
-    ("saddle", "energy", "family", "fragment"),
-    [
-        ("down-up", -0.2, 0, "exist only above its energy of -0.175429746"),
-        ("up-up", 0.6, 0, "type index-2 saddle, not index-1 saddle"),
-        ("sideways", 0.0, 0, "allowed: down-down, down-up"),
-        ("down-up", -0.07, 1, "family = 1 does not exist"),
-    ],
-)
-def test_impossible_orbits_are_refused_with_the_valid_range(systems, saddle, energy, family, fragment):
-    with pytest.raises(InputError, match=fragment):
-        lyapunov_orbit(systems["lab"], saddle, energy=energy, family=family)
-
-
 @pytest.mark.parametrize("key", [("lab", "down-up", 0.2), ("lab", "up-down", 0.2)], ids=str)
 def test_the_flow_maps_the_local_manifold_to_itself(orbits, key):
     orbit = orbits[key]
@@ -144,37 +120,6 @@ def test_the_flow_maps_the_local_manifold_to_itself(orbits, key):
             errors.append(orbit.system.scaled_distance(gap, np.zeros(4)))
         # The manifold is linear to first order, so the error is quadratic in the amplitude.
         assert errors[1] < 0.03 * errors[0] + 1e-13
-
-
-def test_the_frame_is_smooth_with_period_one(orbits):
-    manifold = UnstableManifold(orbits["lab", "down-up", 0.2])
-    phases = np.linspace(-0.7, 1.6, 24)
-    here, moved, again = (manifold.frame(phases + shift) for shift in (0.0, 1e-6, 1.0))
-    for name, slopes in (("states", here.state_slopes), ("vectors", here.vector_slopes)):
-        assert np.allclose((getattr(moved, name) - getattr(here, name)) / 1e-6, slopes, rtol=1e-4, atol=2e-3)
-        assert np.abs(getattr(again, name) - getattr(here, name)).max() < 1e-9
-
-
-def test_seeds_have_the_given_distance_and_the_orbits_energy(orbits):
-    orbit = orbits["lab", "down-up", -0.07]
-    manifold = UnstableManifold(orbit, 1e-4)
-    phases = np.linspace(0, 1, 13)
-    for branch in (1, -1):
-        seeds, _ = manifold.seeds(phases, branch)
-        assert np.abs(orbit.system.numeric.hamiltonian(seeds) - orbit.energy).max() < 1e-15
-        gaps = (seeds - manifold.frame(phases).states) / orbit.system.scale
-        assert np.allclose(np.linalg.norm(gaps, axis=1), 1e-4, rtol=1e-3)
-
-
-def test_the_nearest_phase_of_an_orbit_point_is_its_phase(orbits):
-    orbit = orbits["lab", "down-up", -0.07]
-    curve = OrbitCurve(orbit)
-    state = orbit.system.propagator.flow(orbit.state, 0.3 * orbit.period)
-    shifted = state + np.array([0, 2 * np.pi, 0, 0])
-    for x in (state, shifted):
-        phase, distance = curve.nearest(x)
-        assert phase == pytest.approx(0.3, abs=1e-8)
-        assert distance < 1e-8
 
 
 SYSTEM = load_model("triple").system

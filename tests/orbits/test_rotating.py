@@ -1,16 +1,11 @@
 """Rotating orbits and their families, compared with independent values, scipy and symmetries."""
 
-from dataclasses import replace
-
-import casadi as ca
 import numpy as np
 import pytest
-from quick_rate import quick_rate
-from scipy.integrate import solve_ivp
+from quick_rate import flown_by_scipy
 
 from dpcontrol.foundation.causes import FamilyEndCause
 from dpcontrol.orbits.rotating import (
-    ROTATING_LIMITS,
     RotatingSettings,
     rotating_families,
     rotating_family,
@@ -62,47 +57,14 @@ def test_the_scan_finds_the_reference_orbits(found, key):
 
 
 def test_every_orbit_closes_after_one_turn(system, found):
-    f, p = quick_rate(system.equations), system.parameters
     for (arm, energy), orbits in found.items():
         assert orbits
         for orbit in orbits:
             assert orbit.winding == tuple(int(k == arm - 1) for k in range(2))
             assert float(system.numeric.hamiltonian(orbit.state)) == pytest.approx(energy, abs=1e-13)
-            flown = solve_ivp(
-                lambda t, x: np.array(f(x, [], p)).ravel(), (0, orbit.period), orbit.state, "DOP853",
-                rtol=1e-12, atol=1e-12,
-            ).y[:, -1]  # fmt: skip
+            flown = flown_by_scipy(system, orbit.state, orbit.period)
             turned = orbit.state + 2 * np.pi * np.append(orbit.winding, [0, 0])
             assert np.abs(flown - turned).max() < DOP853 * max(1.0, abs(orbit.floquet_multipliers[0]))
-
-
-def test_multipliers_agree_with_finite_differences_of_the_poincare_map(system, found):
-    orbit = found[1, 0.2][-1]
-    energy = ca.Function("H", [system.equations.state, system.equations.parameters], [system.equations.hamiltonian])
-
-    def on_energy(angle, rate_2):
-        rate_1 = orbit.state[2]
-        for _ in range(30):
-            x = np.array([0.0, angle, rate_1, rate_2])
-            rate_1 -= (float(energy(x, system.parameters)) - orbit.energy) / system.numeric.gradient(x)[2]
-        return np.array([0.0, angle, rate_1, rate_2])
-
-    def returned(angle, rate_2):
-        x, t = on_energy(angle, rate_2), orbit.period
-        for _ in range(8):
-            end = system.propagator.flow(x, t)
-            t -= (end[0] - 2 * np.pi) / end[2]
-        end = system.propagator.flow(x, t)
-        return np.array([end[1], end[3]])
-
-    h = 1e-5
-    base = orbit.state[1], orbit.state[3]
-    columns = [
-        (returned(base[0] + a, base[1] + b) - returned(base[0] - a, base[1] - b)) / (2 * h) for a, b in ((h, 0), (0, h))
-    ]
-    matrix = np.array(columns).T
-    assert np.trace(matrix) == pytest.approx(orbit.trace, abs=1e-5)
-    assert np.linalg.det(matrix) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_both_senses_are_reflections_of_each_other_and_a_finer_scan_finds_the_same_orbits(system, found):
@@ -146,14 +108,6 @@ def test_a_family_folds_when_its_multipliers_meet_at_one(family):
     lowest = family.energies.min()
     assert lowest - 1e-3 < fold.energy <= lowest
     assert fold.trace == pytest.approx(2.0, abs=1e-8)
-
-
-@pytest.mark.slow
-def test_changes_of_stability_are_independent_of_the_step(found, family):
-    finer = rotating_family(found[2, -0.06985][-1], (-0.12, 0.42), settings=replace(ROTATING_LIMITS, step=0.02))
-    assert len(finer.changes) == len(family.changes)
-    for a, b in zip(finer.changes, family.changes, strict=True):
-        assert a.orbit.energy == pytest.approx(b.orbit.energy, abs=LOCATED)
 
 
 @pytest.mark.slow

@@ -1,16 +1,15 @@
 """Figures of the paper and recordings of an atlas, written whole; their curves agree with independent numbers."""
 
 import re
-import subprocess
 
 import numpy as np
 import pytest
 
 from dpcontrol.pages.atlas import connections_of, kind_of, stable_direction, write_atlas_recording
 from dpcontrol.pages.paper import equilibria
-from dpcontrol.pages.viewer import viewer_program
 from dpcontrol.plans.atlas import AtlasSettings, compute_atlas
 from dpcontrol.plans.model import load_model
+from tests.pages.test_recording import rerun
 
 
 @pytest.fixture(scope="module")
@@ -34,16 +33,11 @@ def test_connections_lie_on_cuts_crossed_in_the_same_direction(low):
 
 def test_the_recording_of_an_atlas_is_verified_by_the_viewers_own_tool_and_holds_everything(low, tmp_path):
     write_atlas_recording(low, tmp_path / "a.rrd")
-    program = viewer_program()
-    assert program is not None
-    for verb in (["rrd", "verify"], ["rrd", "print"]):
-        done = subprocess.run(
-            [str(program), *verb, str(tmp_path / "a.rrd")], capture_output=True, text=True, timeout=60, check=False
-        )
-        assert done.returncode == 0, done.stderr
+    rerun("rrd", "verify", str(tmp_path / "a.rrd"))
+    held = rerun("rrd", "print", str(tmp_path / "a.rrd"))
     for path in ("/space/orbits/down_up", "/space/tubes/down_up/hit_1", "/space/connections/down_up_to_down_up_1_1"):
-        assert path in done.stdout
-    assert len(set(re.findall(r"/space/connections/\w+/\w+", done.stdout))) == len(low.connections)
+        assert path in held
+    assert len(set(re.findall(r"/space/connections/\w+/\w+", held))) == len(low.connections)
 
 
 def test_points_of_up_ups_manifold_lie_on_its_energy_and_come_from_it():

@@ -30,7 +30,7 @@ def run() -> RunView:
     return flown()
 
 
-def _rerun(*arguments: str) -> str:
+def rerun(*arguments: str) -> str:
     program = viewer_program()
     assert program is not None
     done = subprocess.run([str(program), *arguments], capture_output=True, text=True, timeout=60, check=False)
@@ -40,7 +40,7 @@ def _rerun(*arguments: str) -> str:
 
 def test_a_recording_holds_scene_plots_events_and_blueprint(run: RunView, tmp_path: Path) -> None:
     write_recording(run, tmp_path / "run.rrd")
-    found = _rerun("rrd", "stats", str(tmp_path / "run.rrd"))
+    found = rerun("rrd", "stats", str(tmp_path / "run.rrd"))
     for entity in (
         "/scene/cart",
         "/scene/arms/arm_2",

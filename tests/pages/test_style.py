@@ -1,11 +1,10 @@
-"""Colours keep apart for people with colour-vision deficiencies, and units have readable prefixes."""
+"""Colours keep apart for people with colour-vision deficiencies."""
 
 from itertools import combinations
 
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.units import prefixed
 from dpcontrol.pages import style
 
 APART = 12.0
@@ -57,17 +56,3 @@ def test_colours_with_a_meaning_remain_distinct(vision: str) -> None:
 def test_colours_of_numbered_items_remain_distinct(vision: str) -> None:
     distances = [np.linalg.norm(seen(a, vision) - seen(b, vision)) for a, b in combinations(style.SERIES, 2)]
     assert min(distances) > SERIES_APART
-
-
-def test_simulated_protanopia_joins_red_and_green_of_equal_brightness() -> None:
-    """The simulation itself: pure green darkened to the brightness that a protanope sees in red looks like red."""
-    red, green = seen("#ff0000", "protanopia"), seen("#00ff00", "protanopia")
-    assert np.allclose(np.arctan2(red[2], red[1]), np.arctan2(green[2], green[1]), atol=0.15)
-
-
-@pytest.mark.parametrize(
-    ("largest", "unit", "factor", "shown"),
-    [(8.8e-05, "s", 1e6, "µs"), (0.02, "rad", 1e3, "mrad"), (4.2, "m/s²", 1.0, "m/s²"), (0.0, "m", 1.0, "m")],
-)
-def test_units_have_readable_prefixes(largest: float, unit: str, factor: float, shown: str) -> None:
-    assert prefixed(largest, unit) == (pytest.approx(factor), shown)

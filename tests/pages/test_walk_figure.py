@@ -1,31 +1,19 @@
 """The story of a walk on its page is what the orbit does."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 
+from dpcontrol.dynamics.system import System
 from dpcontrol.pages.walks import WalkStory
-from dpcontrol.plans.model import load_model
-from dpcontrol.walks.edges import Edges, find_edges
-from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.shadowing import shadow
 from dpcontrol.walks.walks import resolve
 
 
-@cache
-def edges() -> Edges:
-    return find_edges(load_model("lab").system, -0.07, pairs=[("down-up", "down-up")])
-
-
-def found(texts: list[str], *, wraps: list[int] | None = None) -> ShadowingOrbit:
-    chain = resolve(texts, edges())
-    orbit = WalkSolver(edges().connections).solve(chain, wraps or [1] * (len(chain) - 1))
+def test_stays_lie_between_the_symbols_and_carry_the_wraps_of_the_orbit(system: System) -> None:
+    edges = find_edges(system, -0.07, pairs=[("down-up", "down-up")])
+    orbit = shadow(resolve(["down-up +", "down-up -", "down-up +"], edges), wraps=[1, 3])
     assert orbit.converged
-    return orbit
-
-
-def test_stays_lie_between_the_symbols_and_carry_the_wraps_of_the_orbit() -> None:
-    orbit = found(["down-up +", "down-up -", "down-up +"], wraps=[1, 3])
     stays = WalkStory(orbit).stays
     assert [stay.text for stay in stays] == [f"down-up {count}×" for count in (2, 1, 3, 2)]
     assert [stay.saddle for stay in stays] == ["down-up"] * 4

@@ -1,29 +1,10 @@
 """The itinerary's text can be edited by clicks and by typing, and errors have line numbers."""
 
-import tomllib
-
 import pytest
 
 from dpcontrol.planner.draft import first_text, read_draft
 
 FIRST = first_text("lab")
-WALK = ["down-up > up-down", "up-down > down-up"]
-
-
-def test_a_walk_built_by_clicks_is_a_valid_itinerary() -> None:
-    text = read_draft(FIRST).changed("", {"walk": WALK, "wraps": [3]})
-    draft = read_draft(text)
-    assert draft.itinerary is not None
-    assert draft.itinerary.walk == tuple(WALK)
-    assert (draft.wraps, draft.stops) == ([3], ["down-up", "up-down", "down-up"])
-
-
-def test_edits_keep_other_keys_and_comments() -> None:
-    text = FIRST.replace("[run]", "[limits]\nposition = 0.3  # m\n\n[run]  # of the bench")
-    changed = read_draft(text).changed("", {"walk": WALK, "wraps": [2], "finish": "orbit"})
-    assert "position = 0.3  # m" in changed
-    assert "[run]  # of the bench" in changed
-    assert tomllib.loads(changed) == {**tomllib.loads(text), "walk": WALK, "wraps": [2], "finish": "orbit"}
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,7 @@
 TVLQR and back. Expected times come from the connections' own, and states from flying the stored input again.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +10,8 @@ import pytest
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.judge.decoding import decode_run
 from dpcontrol.judge.score import score
-from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.itinerary import itinerary_from, load_itinerary
+from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.references.content import FlightSegment
 from dpcontrol.runs.run import run_plan
@@ -25,22 +24,19 @@ NO_JUMP = 1e-9
 NEAR_ORBIT = 0.1
 """rad: what a completed period asks for."""
 TRAVEL = 0.4
-WALK = {"energy": "-0.07", "walk": '["down-up +", "down-up -"]', "wraps": "[6]", "lead_in": "3", "lead_out": "3"}
-Writer = Callable[..., Path]
+WALK = """
+energy = -0.07
+walk = ["down-up +", "down-up -"]
+wraps = [{}]
+lead_in = 3
+lead_out = 3
+[controller]
+keep = "ogy"
+"""
 
 
-@pytest.fixture
-def scene(tmp_path: Path) -> Writer:
-    """Write an itinerary: keys of the walk replaced, a value of None left out, tables as they are."""
-
-    def write(*tables: str, keep: str = 'keep = "ogy"', **changes: str | None) -> Path:
-        keys = {**WALK, **changes}
-        lines = [f"{key} = {value}" for key, value in keys.items() if value is not None]
-        file = tmp_path / "scene.toml"
-        file.write_text("\n".join([*lines, "[controller]", keep, *tables]) + "\n")
-        return file
-
-    return write
+def kept(wraps: int) -> Plan:
+    return make_plan(itinerary_from(WALK.format(wraps), "scene", load_model("lab")))
 
 
 @pytest.fixture(scope="module")
@@ -89,17 +85,16 @@ def test_a_stay_repeats_one_period_of_its_orbit(linger: Plan) -> None:
 
 
 @pytest.mark.slow
-def test_a_long_stay_costs_no_more_than_a_short_one(scene: Writer) -> None:
-    short = make_plan(load_itinerary(str(scene())))
-    long = make_plan(load_itinerary(str(scene(wraps="[40]"))))
+def test_a_long_stay_costs_no_more_than_a_short_one() -> None:
+    short, long = kept(6), kept(40)
     assert planned_wraps(long) == (40,)
     assert stays(long)[1] - stays(short)[1] == 34
     assert long.reference.iterations == short.reference.iterations
 
 
 @pytest.mark.slow
-def test_a_stop_without_room_for_a_period_is_flown_through(scene: Writer) -> None:
-    plan = make_plan(load_itinerary(str(scene(wraps="[0]"))))
+def test_a_stop_without_room_for_a_period_is_flown_through() -> None:
+    plan = kept(0)
     flights = [part.fly for part in plan.content.segments if isinstance(part, FlightSegment)]
     assert flights == ["down-up +, down-up -"]
     assert planned_wraps(plan) == (0,)

@@ -1,11 +1,10 @@
 """Ends, places of the cart and times of transfers that an itinerary can ask for."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.itinerary import Itinerary, itinerary_from
+from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.runs.run import run_plan
 
@@ -13,7 +12,6 @@ ROUNDING = 1e-9
 COARSE = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
 """What is asked here is where motions lead, not how exact they are."""
 UP_AND_ASIDE = """
-model = "single"
 start = "rest"
 [[parts]]
 hold = "up"
@@ -28,15 +26,13 @@ cart = 0.1
 """
 
 
-def written(folder: Path, text: str) -> str:
-    file = folder / "motion.toml"
-    file.write_text(text)
-    return str(file)
+def asked(text: str, model: str = "lab") -> Itinerary:
+    return itinerary_from(text, "motion", load_model(model))
 
 
 @pytest.fixture(scope="module")
-def up_and_aside(tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    return make_plan(load_itinerary(written(tmp_path_factory.mktemp("motions"), UP_AND_ASIDE + COARSE)))
+def up_and_aside() -> Plan:
+    return make_plan(asked(UP_AND_ASIDE + COARSE, "single"))
 
 
 def test_an_itinerary_ends_at_its_last_hold_with_the_cart_where_it_says(up_and_aside: Plan) -> None:
@@ -56,9 +52,8 @@ def test_a_hold_that_goes_on_has_no_transfer_and_a_side_step_has_one(up_and_asid
     assert left - landed == pytest.approx(2.0), "two holds of a second without a motion between them"
 
 
-def test_a_run_that_stays_up_is_scored(up_and_aside: Plan, tmp_path: Path) -> None:
-    run = run_plan(up_and_aside, tmp_path / "run.mcap")
-    score = run.score()
+def test_a_run_that_stays_up_is_scored(up_and_aside: Plan) -> None:
+    score = run_plan(up_and_aside).score()
     assert score.completed
     assert "held at up to the end" in score.reason
 
@@ -75,8 +70,8 @@ def test_a_run_that_stays_up_is_scored(up_and_aside: Plan, tmp_path: Path) -> No
         ('start = "hold"\nfinish = "rest"\nhold = "down-up"\n', ["down-up", "down-down"]),
     ],
 )
-def test_each_end_follows_any_part(text: str, saddles: list[str], tmp_path: Path) -> None:
-    plan = make_plan(load_itinerary(written(tmp_path, text)))
+def test_each_end_follows_any_part(text: str, saddles: list[str]) -> None:
+    plan = make_plan(asked(text))
     assert plan.converged
     assert [stop.saddle for stop in plan.content.stops] == saddles
     states = plan.reference.state(np.array([0.0, plan.reference.duration]))
@@ -93,5 +88,5 @@ def test_each_end_follows_any_part(text: str, saddles: list[str], tmp_path: Path
         ('start = "rest"\nfinish = "hold"\nhold = "up-up"\n', "adaptive"),
     ],
 )
-def test_only_a_stay_in_the_middle_is_held_by_default(text: str, kind: str, tmp_path: Path) -> None:
-    assert load_itinerary(written(tmp_path, text)).loop.controller.kind == kind
+def test_only_a_stay_in_the_middle_is_held_by_default(text: str, kind: str) -> None:
+    assert asked(text).loop.controller.kind == kind

@@ -8,29 +8,17 @@ import numpy as np
 import pytest
 
 from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import make_plan, plan_key
+from dpcontrol.plans.plan import Plan, make_plan, plan_key
 from dpcontrol.references.problem import PLANNING
 from dpcontrol.references.reference import load_reference
 
 
-@pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache of this test's own."""
-    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
-@pytest.fixture(scope="module")
-def turn_plan(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The outer turn's plan as its file's bytes, found without a cache."""
-    return make_plan(load_itinerary("outer-turn")).archive
-
-
 def test_a_kept_plan_whose_states_were_changed_is_never_served(
-    cache: Path, turn_plan: bytes, monkeypatch: pytest.MonkeyPatch
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
     turn = load_itinerary("outer-turn")
-    sound = load_reference(io.BytesIO(turn_plan))
+    sound = load_reference(io.BytesIO(plan.archive))
     monkeypatch.setattr("dpcontrol.plans.planning.planned", lambda *_, **__: sound)
     file = make_plan(turn).file
     assert make_plan(turn).cached

@@ -112,7 +112,7 @@ def test_settings_are_replaced_by_path() -> None:
     assert changed == replace(loop, rate=500.0, drive=replace(loop.drive, lag=0.002, delay=2.0))
     with pytest.raises(InputError, match=r"drive\.lagg: drive has no such setting; it has delay, lag, "):
         loop.with_({"drive.lagg": 0.002})
-    with pytest.raises(InputError, match="dirve: .* has no such setting"):
+    with pytest.raises(InputError, match=r"dirve: .* has no such setting"):
         loop.with_({"dirve.lag": 0.002})
     with pytest.raises(InputError, match=r"lag = -1\.0: must be 0 to 1 s\n.*counts = 0\.5: must be a whole number"):
         load_itinerary("outer-turn").with_run({"lag": -1, "counts": 0.5})

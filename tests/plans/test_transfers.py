@@ -15,7 +15,7 @@ from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_co
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.plans import transfers
 from dpcontrol.plans.authority import sensitivity
-from dpcontrol.plans.itinerary import HoldPart, load_itinerary
+from dpcontrol.plans.itinerary import HoldPart, itinerary_from, load_itinerary
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.references.reference import Reference
@@ -26,17 +26,11 @@ QUICK = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
 QUADRATURE = 1e-4  # relative, of sums over milliseconds
 
 
-def scene(folder: Path, *holds: str, model: str = "lab") -> Path:
-    parts = "".join(f'[[parts]]\nhold = "{name}"\nseconds = 0.5\n' for name in holds)
-    file = folder / "tour.toml"
-    file.write_text(f'model = "{model}"\nstart = "rest"\nfinish = "rest"\n{parts}{QUICK}')
-    return file
-
-
 @pytest.fixture(scope="module")
-def there_and_back(tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    folder = tmp_path_factory.mktemp("tour")
-    return make_plan(load_itinerary(str(scene(folder, "down-down", "down-up", "down-down"))))
+def there_and_back() -> Plan:
+    holds = (f'[[parts]]\nhold = "{name}"\nseconds = 0.5\n' for name in ("down-down", "down-up", "down-down"))
+    text = "".join(['start = "rest"\nfinish = "rest"\n', *holds, QUICK])
+    return make_plan(itinerary_from(text, "tour", LAB))
 
 
 def flown_again(plan: Plan, number: int) -> Reference:

@@ -1,15 +1,13 @@
 """Numbers in another unit: each key of a model and of a rig is named, with the unit that it was probably given in."""
 
 import re
-import warnings
-from pathlib import Path
 
 import pytest
 
 from dpcontrol.foundation.errors import Remark
 from dpcontrol.foundation.shipped import find, shipped_names
-from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.model import load_model
+from dpcontrol.plans.itinerary import itinerary_from, load_itinerary
+from dpcontrol.plans.model import load_model, model_from
 
 MODEL = find("models", "lab").read_text()
 SCENE = """
@@ -17,26 +15,6 @@ title = "Hold both arms hanging"
 start = "hold"
 hold = "down-down"
 """
-
-
-def remarks_on_model(folder: Path, key: str, values: str) -> list[str]:
-    """Return the remarks on the lab's model with other values of a key."""
-    text, count = re.subn(rf"(?m)^{key} *= .*$", f"{key} = {values}", MODEL)
-    assert count == 1
-    (folder / "model.toml").write_text(text)
-    with warnings.catch_warnings(record=True) as made:
-        warnings.simplefilter("always", Remark)
-        load_model(str(folder / "model.toml"))
-    return [str(one.message) for one in made]
-
-
-def remarks_on_rig(folder: Path, table: str, line: str) -> list[str]:
-    """Return the remarks on a scene with one line in a table."""
-    (folder / "scene.toml").write_text(f"{SCENE}[{table}]\n{line}\n")
-    with warnings.catch_warnings(record=True) as made:
-        warnings.simplefilter("always", Remark)
-        load_itinerary(str(folder / "scene.toml"))
-    return [str(one.message) for one in made]
 
 
 @pytest.mark.parametrize(
@@ -48,10 +26,12 @@ def remarks_on_rig(folder: Path, table: str, line: str) -> list[str]:
     ],
 )
 def test_a_unit_slip_in_a_model_is_remarked_on_with_the_key_and_the_likely_unit(
-    tmp_path: Path, key: str, values: str, meant: str
+    key: str, values: str, meant: str
 ) -> None:
-    found = remarks_on_model(tmp_path, key, values)
-    assert f" {key} = " in found[0]
+    text, count = re.subn(rf"(?m)^{key} *= .*$", f"{key} = {values}", MODEL)
+    assert count == 1
+    found = model_from(text, "own").remarks
+    assert f"{key} = " in found[0]
     assert meant in found[0]
     assert "inertia" not in " ".join(found)
 
@@ -70,17 +50,18 @@ def test_a_unit_slip_in_a_model_is_remarked_on_with_the_key_and_the_likely_unit(
     ],
 )
 def test_a_unit_slip_in_a_rig_is_remarked_on_with_the_key_and_the_likely_unit(
-    tmp_path: Path, table: str, line: str, meant: str
+    table: str, line: str, meant: str
 ) -> None:
-    (found,) = remarks_on_rig(tmp_path, table, line)
+    with pytest.warns(Remark) as made:
+        itinerary_from(f"{SCENE}[{table}]\n{line}\n", "scene", load_model("lab")).remark_on_rig()
+    (found,) = (str(one.message) for one in made)
     assert line.splitlines()[-1].partition(" = ")[0] in found
     assert meant in found
 
 
+@pytest.mark.filterwarnings("error::dpcontrol.foundation.errors.Remark")
 def test_nothing_is_remarked_on_in_what_is_shipped() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", Remark)
-        for name in shipped_names("models"):
-            load_model(name)
-        for name in shipped_names("itineraries"):
-            load_itinerary(name)
+    for name in shipped_names("models"):
+        load_model(name)
+    for name in shipped_names("itineraries"):
+        load_itinerary(name)

@@ -142,11 +142,7 @@ def _three_body(random: np.random.Generator) -> WalkCase:
 
 
 def opened(case: WalkCase) -> WalkCase:
-    """Return a closed walk's case as an open walk, which has a stop less.
-
-    Args:
-        case: case of a closed walk.
-    """
+    """Return a closed walk's case as an open walk, which has a stop less."""
     *arguments, _, wraps, _ = case.arguments
     stops = wraps.split(",")[:-1]
     return replace(case, arguments=(*arguments, *(("--wraps", ",".join(stops)) if stops else ())))

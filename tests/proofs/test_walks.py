@@ -1,9 +1,11 @@
 """Closed walks are proved with their symbols."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from random_walks import MOST_SECONDS, proved, read, summary
 
 import dpcontrol as dp
 
@@ -55,3 +57,14 @@ def test_a_perturbed_orbit_is_not_proved(turn: ShadowingOrbit) -> None:
     found = dp.prove(replace(turn, orbit=replace(turn.orbit, states=states)), settings=ProofSettings(tries=1))
     assert not found.proved
     assert found.status.startswith("not proved: ")
+
+
+@pytest.mark.slow
+def test_random_walks_are_proved_and_reported(tmp_path: Path) -> None:
+    """Seed 10 has a rival connection that is nearer than the length of a step."""
+    found = proved(10, tmp_path / "walks.jsonl")
+    assert found["code"] == 0, found
+    assert found["cpu"] < MOST_SECONDS
+    (line,) = read(tmp_path / "walks.jsonl")
+    assert line["seed"] == 10
+    assert "1 of 1 proved" in summary([line])

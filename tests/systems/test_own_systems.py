@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -15,7 +16,6 @@ from dpcontrol.examples.henon_heiles import henon_heiles
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.plans.atlas import AtlasSettings, compute_atlas, load_atlas, save_atlas
 from dpcontrol.tubes.connections import find_connections
-from tests.systems.de_leon_berne import de_leon_berne
 from tests.systems.hill import hill
 from tests.systems.independent import Cut, Problem, crossings, orbit_near
 
@@ -31,6 +31,28 @@ def henon_heiles_rate(z):
 def henon_heiles_energy(z):
     x, y, px, py = z
     return (px**2 + py**2 + x**2 + y**2) / 2 + x**2 * y - y**3 / 3
+
+
+NUMBERS = {"m": 8.0, "D": 10.0, "lambda": 1.0, "zeta": 1.0, "V": 1.0, "w": 0.5**0.5}
+
+
+def isomerisation(q, p, c):
+    """De Leon and Berne (J. Chem. Phys. 75, 1981, 3495): two wells, a saddle, and a Morse oscillator across."""
+    (x, y), (px, py) = q, p
+    morse = c["D"] * (1 - ca.exp(-c["lambda"] * x)) ** 2
+    wells = c["V"] / c["w"] ** 4 * y**2 * (y**2 - 2 * c["w"] ** 2) * ca.exp(-c["zeta"] * c["lambda"] * x)
+    return (px**2 + py**2) / (2 * c["m"]) + morse + wells + c["V"]
+
+
+def de_leon_berne():
+    return dp.System.from_hamiltonian(
+        "de-leon-berne",
+        isomerisation,
+        coordinates=("x", "y"),
+        parameters=NUMBERS,
+        equilibria={"barrier": (0.0, 0.0), "well": (0.2, 0.7)},
+        scale=0.5,
+    )
 
 
 def de_leon_berne_rate(z):

@@ -5,16 +5,8 @@ import pytest
 from command_line import dpcontrol
 
 import dpcontrol as dp
-from dpcontrol.dynamics.system import System
+from dpcontrol.examples.henon_heiles import henon_heiles
 from dpcontrol.foundation.causes import OpenEndCause
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.tubes.connections import find_connections
-
-
-def hamiltonian(q, p, _):
-    """Hénon and Heiles (1964)."""
-    (x, y), (px, py) = q, p
-    return (px**2 + py**2 + x**2 + y**2) / 2 + x**2 * y - y**3 / 3
 
 
 @pytest.mark.slow
@@ -31,11 +23,7 @@ def test_a_search_that_excludes_longer_flights_misses_its_goal() -> None:
 @pytest.mark.slow
 def test_an_escaping_branch_is_reported_and_keeps_the_search_complete() -> None:
     """Above the saddle, the outer branch escapes to infinity along the cubic potential."""
-    system = System.from_hamiltonian(
-        "henon-heiles", hamiltonian, coordinates=("x", "y"), equilibria={"top": (0.0, 1.0), "left": (-0.9, -0.5)}
-    )
-    orbit = lyapunov_orbit(system, "top", energy=0.17)
-    search = find_connections(orbit, orbit)
+    search = dp.connections(dp.orbit(henon_heiles(), "top", energy=0.17))
     assert search.complete, search.status
     escaping = [end for _, end in search.open_ends if end.cause is OpenEndCause.ESCAPES]
     assert {end.branch for end in escaping} == {1}

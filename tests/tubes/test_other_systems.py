@@ -129,17 +129,6 @@ def test_the_point_mass_pendulum_is_a_chain_without_inertia():
 
 
 @pytest.mark.slow
-def test_a_second_hit_search_finds_double_turns():
-    orbit = lyapunov_orbit(load_model("lab").system, "down-up", energy=-0.07)
-    settings = ConnectionSettings(cut=CutSettings(longest=4.0))
-    search = find_connections(orbit, orbit, hits=(2, 1), settings=settings)
-    double = [c for c in search.connections if c.winding == (0, 2)]
-    assert double
-    assert sorted(c.winding for c in search.connections) == sorted((0, -c.winding[1]) for c in search.connections)
-    assert max(c.residual for c in search.connections) < 1e-11
-
-
-@pytest.mark.slow
 def test_a_search_whose_flights_nearly_collide_ends_with_a_status() -> None:
     """Derivatives along flights close to the smaller primary exceed double precision."""
     search = dp.connections(dp.orbit("three-body", "L2", energy=-1.515), seconds=30)

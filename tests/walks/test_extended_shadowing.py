@@ -9,7 +9,6 @@ from dpcontrol.dynamics.propagator import ExtendedPropagator, digits, extended, 
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.orbits.vertex import rotating_vertex
-from dpcontrol.plans.model import load_model
 from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, find_lap_connections, grown_crossing, orbits_between
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
@@ -20,11 +19,6 @@ AGREES = 1e-10  # difference from the double nodes; about 3e-14 is achieved
 FREE = 1e-8  # over a period with λ = 2e21, 1e-32 grows to 1e-11 and 1e-16 to more than the orbit's size
 SAME = 1e-26  # same orbit from other nodes: residuals of 1e-32, condition number of about 1e4
 SADDLES = ("down-up", "up-down")
-
-
-@pytest.fixture(scope="module")
-def lab():
-    return load_model("lab")
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.edges import find_edges, rotating_named, rotating_names
 from dpcontrol.walks.following import SymbolBranches
 from dpcontrol.walks.shadowing import shadow
-from dpcontrol.walks.symbols import choose, expanded, parse_symbol, parse_walk
+from dpcontrol.walks.symbols import choose, parse_symbol, parse_walk
 from dpcontrol.walks.walks import resolve, through, vertex_names, ways
 
 LOW = -0.06985  # J: the outer arm's fastest rotating orbit has λ = -2.74
@@ -88,17 +88,6 @@ def test_a_composite_edge_is_solved_from_its_parts(edges):
     again = resolve([f"({edge.name})·2·(down-up +)"], edges)[0]
     twice = shadow(resolve(["down-up +", "down-up -", "down-up +"], edges), wraps=[1, 2])
     assert np.abs(again.state - twice.states(twice.symbol_times[:1])[0]).max() < SAME_ORBIT
-
-
-def test_composite_edges_list_their_elementary_symbols():
-    symbol = parse_symbol(f"({GROWN})·3·(down-up > up-down)", SADDLES)
-    assert [s.text for s in symbol.simple] == ["down-up +", "down-up -", "down-up > up-down"]
-    assert (symbol.source, symbol.target, symbol.wraps) == ("down-up", "up-down", (3,))
-    assert symbol.parts[0].wraps == (1,)
-    walk = (symbol, parse_symbol("up-down +", SADDLES))
-    texts = ("down-up +", "down-up -", "down-up > up-down", "up-down +")
-    assert expanded(walk, (4,)) == (texts, (1, 3, 4))
-    assert expanded(walk, (4, 5)) == (texts, (1, 3, 4, 5))
 
 
 def test_rotating_orbits_are_vertices_by_name(system):

@@ -61,15 +61,6 @@ def test_a_walk_over_both_saddles_conserves_energy_and_winding(system, connectio
     assert np.abs((last.max(0) + last.min(0)) / 2 - home).max() < 0.1
 
 
-def test_samples_lie_on_one_trajectory(system, connections):
-    orbit = shadow(chain(connections, ROUND_TRIP[:2]), wraps=[1])
-    times = np.linspace(0.0, orbit.duration, 400)
-    states = orbit.states(times)
-    for k in range(0, 399, 20):
-        flown = system.propagator.flow(states[k], times[k + 1] - times[k])
-        assert np.abs(flown - states[k + 1]).max() < 1e-10
-
-
 def test_wraps_lengthen_a_stop_by_whole_periods(connections):
     walked = chain(connections, ROUND_TRIP[:2])
     stays = []
@@ -115,15 +106,6 @@ def test_a_guess_with_an_error_of_a_thousandth_gives_the_same_orbit(system, conn
         again = described(solve_shooting(replace(guess, states=states)), tuple(walked), wraps)
         assert again.converged, again.status
         assert _apart(system, found, again) < SAME_ORBIT
-
-
-@pytest.mark.parametrize("periodic", [False, True])
-def test_twice_the_segments_give_the_same_orbit(system, connections, periodic):
-    walked = chain(connections, ROUND_TRIP)
-    wraps = [1, 0, 2, 1][: 4 if periodic else 3]
-    settings = [ShadowingSettings(segments=count) for count in (8, 16)]
-    coarse, fine = (shadow(walked, wraps=wraps, periodic=periodic, settings=s) for s in settings)
-    assert _apart(system, coarse, fine) < SAME_ORBIT
 
 
 def _apart(system, first, second):

@@ -66,16 +66,6 @@ def test_a_composite_edge_can_be_part_of_longer_walks(turn, back, other, composi
     assert np.abs(around(short, times) - around(plain, times)).max() < SAME_ORBIT
 
 
-def test_composite_edges_can_be_nested_and_declared_later(turn, back, other, composite):
-    plain = shadow([other, turn, back, turn], wraps=[2, 1, 2])
-    again = as_connection(shadow([other, composite], wraps=[2]))
-    short = shadow([again, turn], wraps=[2])
-    assert short.converged
-    assert short.wraps_realised == (2,)
-    times = np.linspace(-2.0, plain.symbol_times[-1] - plain.symbol_times[0] + 2.0, 300)
-    assert np.abs(around(short, times) - around(plain, times)).max() < SAME_ORBIT
-
-
 def test_closed_walks_can_contain_composite_edges(turn, back, other, composite):
     plain = shadow([turn, back, other], wraps=[1, 2, 1], periodic=True)
     short = shadow([composite, other], wraps=[2, 1], periodic=True)

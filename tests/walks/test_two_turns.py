@@ -10,7 +10,6 @@ import pytest
 
 from dpcontrol.orbits.cut import Cut, Piece, Sampler
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.plans.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.intersections import ConnectionSettings, TubeSide
 from dpcontrol.walks.shadowing import WalkSolver
@@ -22,8 +21,8 @@ PER_FACTOR_E = 20
 
 
 @pytest.fixture(scope="module")
-def turns():
-    orbit, _ = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
+def turns(system):
+    orbit, _ = orbits_between(system, "down-up", "down-up", -0.07)
     return find_connections(orbit, orbit)
 
 
