@@ -190,19 +190,6 @@ def test_the_quadratic_effect_of_a_known_error_is_compensated(law: AdaptiveContr
     assert costs["foreseen"] < 0.2 * costs["blind"]
 
 
-@pytest.mark.parametrize(("name", "base"), [("M11", [0]), ("M22", [2]), ("S1", [3, 5]), ("S2", [4, 6])])
-def test_an_error_is_the_logarithm_of_a_factor_however_large(name: str, base: list[int], model: SampledModel) -> None:
-    filters = FilterEquations(model.equations, PERIOD, ESTIMATOR.augments)
-    predict, z = filters.prediction(with_jacobian=False), np.zeros(filters.dimension)
-    z[:6] = 0.4, 2.9, 3.0, -6.0, 0.02, 0.3
-    parameters, process = LAB.base(), ESTIMATOR.process(2, PERIOD)
-    for factor in (0.6, 1.5):
-        z[6 + filters.extra_names.index(name)] = np.log(factor)
-        parameters[base] = LAB.base()[base] * factor
-        other = SampledModel(model.equations, parameters, period=PERIOD).step(z[:6], 1.5)
-        assert np.array(predict(z, 1.5, LAB.base(), process, 0))[:6, 0] == pytest.approx(other, rel=1e-8)
-
-
 def test_a_share_beyond_trust_is_bounded_and_named(law: AdaptiveController) -> None:
     state = law.reference_states[100]
     assert asked(law, 99, state, np.array([0, 0, 0, 0.3, -0.3, 0.1, 0.1]))[1] == 0

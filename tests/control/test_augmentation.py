@@ -1,14 +1,10 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from estimator_runs import MODEL, NOISE, SWING, estimated, run
+from estimator_runs import MODEL, NOISE, estimated, run
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import CompiledEkf
-from dpcontrol.control.estimator_settings import Augment, EkfSettings, extra_names
-from dpcontrol.control.interface import SampledModel
-from dpcontrol.dynamics.chain import Friction, Level, arm_chain_equations
+from dpcontrol.control.estimator_settings import EkfSettings
 
 ZERO = 1e-3  # rad, after four seconds of swinging: a hundredth of what harms a run.
 SHARE = 0.01  # Of base parameters, after four seconds.
@@ -75,27 +71,3 @@ def test_a_lumped_disturbance_is_followed() -> None:
     late = slice(1000, None)
     errors = [np.array([e.state[3] for e in es[late]]) - flown.states[late, 3] for es in (plain, told)]
     assert np.abs(errors[1].mean()) < 0.5 * np.abs(errors[0].mean())
-
-
-def test_friction_errors_count_for_every_law_and_the_smoothing_stays() -> None:
-    arms = replace(LAB, coulomb=(1e-3, 2e-3))
-    equations = arm_chain_equations(2, Level.CART, friction=(Friction.COULOMB,))
-    model = SampledModel(equations, arms.base(), period=1e-3)
-    ekf = CompiledEkf(model, EkfSettings(augment=("friction",)), noise=NOISE)
-    first = ekf.first(np.array(SWING))
-    kept = first.memory.copy()
-    kept[6:8] = 0.5, -0.4
-    estimate = first._replace(memory=kept)
-    factors = (1.5, 0.6)
-    changed = replace(
-        arms,
-        viscous=tuple(k * f for k, f in zip(arms.viscous, factors, strict=True)),
-        coulomb=tuple(c * f for c, f in zip(arms.coulomb, factors, strict=True)),
-    )
-    expected = SampledModel(equations, changed.base(), period=1e-3).step(np.array(SWING), 1.0)
-    assert ekf.ahead(estimate, [1.0]) == pytest.approx(expected, abs=1e-14)
-
-
-def test_one_arm_keeps_its_inertia_as_the_unit() -> None:
-    assert extra_names(1, (Augment.PARAMETERS,)) == ("S1",)
-    assert extra_names(3, (Augment.PARAMETERS,)) == ("M11", "M13", "M22", "M23", "M33", "S1", "S2", "S3")
