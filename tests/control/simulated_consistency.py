@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 _SETTLING = 0.2
 """Initial time without evaluation, s, because it depends on the prior."""
+_EVERY = 20
+"""Ticks between two values of NEES."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +33,6 @@ class Consistency:
     nees_inside_95: float
     mean_nis: float
     mean_nees: float
-    runs: int
-    ticks: int
 
 
 def simulated_consistency(
@@ -44,12 +44,11 @@ def simulated_consistency(
     seed: int,
     steps: Array | None = None,
     process_noise: bool = True,
-    every: int = 20,
 ) -> Consistency:
     """Run `runs` filters over `commands` (K,) m/s² from `first` (N,), with truths drawn from what the filter assumes.
 
     The measurement has the noise that the filter assumes, unless `steps` (n+1,) are given, the encoders' resolutions in
-    rad and m: then readings are rounded to them. every: ticks between two values of NEES.
+    rad and m: then readings are rounded to them.
     """
     random = np.random.default_rng(seed)
     equations, size, arms = ekf.equations, ekf.equations.dimension, ekf.model.arms
@@ -92,7 +91,7 @@ def simulated_consistency(
         memory = out[: ekf.out.slices.covariance.stop].copy()
         if k >= settled:
             nis.append(out[ekf.out.slices.nis][0].copy())
-            if k % every == 0:
+            if k % _EVERY == 0:
                 p = unpacked(memory[size:].T)
                 errors.append(nees((truth - memory[:size]).T, p))
     all_nis, all_nees = np.array(nis), np.array(errors)
@@ -101,6 +100,4 @@ def simulated_consistency(
         share_inside(all_nees, size),
         float(all_nis.mean()),
         float(all_nees.mean()),
-        runs,
-        len(commands),
     )

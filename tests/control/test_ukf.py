@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from estimator_runs import MODEL, NOISE, SWING, estimated, run
-from filterpy_ekf import FilterpyEkf
 
 from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
 from dpcontrol.control.interface import Estimate, Estimator
@@ -17,19 +16,6 @@ def apart(one: Estimate, other: Estimate) -> float:
     """Largest difference of two estimates in standard deviations of the second."""
     away = np.concatenate([one.state - other.state, one.extra - other.extra])
     return float(np.abs(away / other.sigmas).max())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("augment", [(), ("zeros", "parameters")])
-def test_filterpys_arithmetic_gives_the_compiled_filters_numbers(augment: tuple[str, ...]) -> None:
-    flown = run(0.6, zeros=(0.01, -0.01))
-    compiled = make_estimator(EkfSettings(augment=augment), MODEL, noise=NOISE)
-    pair = compiled, FilterpyEkf(MODEL, UkfSettings(augment=augment), noise=NOISE)
-    for ours, theirs in zip(*(estimated(e, flown) for e in pair), strict=True):
-        assert apart(ours, theirs) < ROUNDING
-        assert ours.sigmas == pytest.approx(theirs.sigmas, rel=ROUNDING)
-        assert ours.nis == pytest.approx(theirs.nis, rel=1e-5, abs=1e-5)
-        assert ours.innovation == pytest.approx(theirs.innovation, abs=1e-9)
 
 
 def test_the_unscented_filter_agrees_with_the_extended_one_in_a_swing() -> None:
