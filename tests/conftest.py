@@ -217,6 +217,12 @@ def turn() -> tuple[StandIn, Reference]:
 
 
 @pytest.fixture(scope="session")
+def reference(turn: tuple[StandIn, Reference]) -> Reference:
+    """The reference of the turn."""
+    return turn[1]
+
+
+@pytest.fixture(scope="session")
 def crossing() -> tuple[StandIn, Reference]:
     """From Down-Up to Up-Down at 0.2 J, and its reference."""
     return _tracked(high_crossing())

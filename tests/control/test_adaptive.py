@@ -5,7 +5,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from shadowing_stand_in import LAB, StandIn
+from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import FilterEquations
 from dpcontrol.control.estimator_settings import EkfSettings
@@ -40,8 +40,8 @@ def model() -> SampledModel:
 
 
 @pytest.fixture(scope="module")
-def law(turn: tuple[StandIn, Reference], model: SampledModel) -> AdaptiveController:
-    return adaptive_controller(turn[1], model, SETTINGS, estimator=ESTIMATOR)
+def law(reference: Reference, model: SampledModel) -> AdaptiveController:
+    return adaptive_controller(reference, model, SETTINGS, estimator=ESTIMATOR)
 
 
 def test_gains_minimise_the_cost_with_the_extras_foreseen() -> None:
@@ -95,10 +95,10 @@ def test_the_effect_of_a_wrong_parameter_is_that_of_other_arms(name: str, base: 
 
 @pytest.mark.slow
 def test_a_reference_that_shall_end_on_its_orbit_is_shifted_as_if_feedback_were_as_eager(
-    turn: tuple[StandIn, Reference], model: SampledModel
+    reference: Reference, model: SampledModel
 ) -> None:
     """Constants known from the start take the motion where the eager gains would, by the feedback of the calm ones."""
-    calm = adaptive_controller(turn[1], model, SETTINGS, estimator=ESTIMATOR)
+    calm = adaptive_controller(reference, model, SETTINGS, estimator=ESTIMATOR)
     states, commands = calm.reference_states[:-1], calm.feedforward
     a, b = model.linearised(states, commands)
     e, kept = extra_jacobians(model, ESTIMATOR.augments, states, commands, ESTIMATOR.process(2, PERIOD))

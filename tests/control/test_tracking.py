@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
-from shadowing_stand_in import LAB, StandIn
+from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import FilterEquations
 from dpcontrol.control.interface import SampledModel
@@ -39,17 +39,15 @@ def test_terminal_cost_solves_the_discrete_algebraic_riccati_equation() -> None:
     assert cost == pytest.approx(expected, rel=SOLVED)
 
 
-def test_feedback_is_zero_on_the_reference_and_pulls_back_beside_it(
-    turn: tuple[StandIn, Reference], model: SampledModel
-) -> None:
-    controller = tracking_controller(turn[1], model, TvlqrSettings())
+def test_feedback_is_zero_on_the_reference_and_pulls_back_beside_it(reference: Reference, model: SampledModel) -> None:
+    controller = tracking_controller(reference, model, TvlqrSettings())
     assert isinstance(controller, TrackingController)
     k = 700
     wanted = controller.reference_states[k]
-    assert wanted == pytest.approx(turn[1].state(k * 2e-3), abs=1e-12)
+    assert wanted == pytest.approx(reference.state(k * 2e-3), abs=1e-12)
     feedforward, feedback = asked(controller, k, wanted)
     assert feedback == 0.0
-    assert feedforward == pytest.approx(float(turn[1].input(k * 2e-3 + 1e-3)[0]), abs=1e-12)
+    assert feedforward == pytest.approx(float(reference.input(k * 2e-3 + 1e-3)[0]), abs=1e-12)
     beside = wanted + np.array([1e-4, 0, 0, 0, 0, 0])
     for j in range(k, k + 1500):
         u = sum(asked(controller, j, beside))
@@ -71,27 +69,27 @@ def late_start(reference: Reference, model: SampledModel, schedule: str) -> tupl
 
 
 def test_by_phase_a_run_that_is_early_is_left_its_lead_and_by_time_it_is_pulled_back(
-    turn: tuple[StandIn, Reference], model: SampledModel
+    reference: Reference, model: SampledModel
 ) -> None:
-    by_time, by_phase = (late_start(turn[1], model, schedule) for schedule in ("time", "phase"))
+    by_time, by_phase = (late_start(reference, model, schedule) for schedule in ("time", "phase"))
     # The clock glides by half a tick a tick: it makes up the lead of 20 ticks in 40, pulled back meanwhile.
     assert max(by_phase[0][60:]) < 0.5 * max(by_time[0][60:])
     assert max(by_phase[1][60:]) < 0.5 * max(by_time[1][60:])
 
 
-def test_by_phase_the_clock_is_estimated(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
-    controller = tracking_controller(turn[1], model, TvlqrSettings(schedule="phase"))
+def test_by_phase_the_clock_is_estimated(reference: Reference, model: SampledModel) -> None:
+    controller = tracking_controller(reference, model, TvlqrSettings(schedule="phase"))
     assert isinstance(controller, PhaseController)
     session = controller.begin()
-    assert session.resynchronise(10, turn[1].state(0.3)) == "clock of the reference moved by +140 ticks"
-    assert np.abs(session.command(10, turn[1].state(0.3), np.zeros(0)).feedback) < 1e-6
-    assert controller.join(5, turn[1].state(0.3)).command(5, turn[1].state(0.3), np.zeros(0)).feedback < 1e-6
+    assert session.resynchronise(10, reference.state(0.3)) == "clock of the reference moved by +140 ticks"
+    assert np.abs(session.command(10, reference.state(0.3), np.zeros(0)).feedback) < 1e-6
+    assert controller.join(5, reference.state(0.3)).command(5, reference.state(0.3), np.zeros(0)).feedback < 1e-6
 
 
 def test_the_loops_rows_equal_the_actions_of_a_session_several_ticks_ahead(
-    turn: tuple[StandIn, Reference], model: SampledModel
+    reference: Reference, model: SampledModel
 ) -> None:
-    controller = tracking_controller(turn[1], model, TvlqrSettings())
+    controller = tracking_controller(reference, model, TvlqrSettings())
     assert isinstance(controller, TrackingController)
     where = TickEquations(FilterEquations(model.equations, model.period, ()), 2, 2).row.slices
     schedule, session, last = controller.schedule(2), controller.join(0, controller.first_state), controller.ticks

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from library_program import LibraryProgram, library_ticker
-from shadowing_stand_in import LAB, StandIn
+from shadowing_stand_in import LAB
 
 from dpcontrol.control.export import ControllerSource, Unit, controller_source, controller_unit
 from dpcontrol.control.interface import sampled_model
@@ -53,9 +53,8 @@ class Exported(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def exported(turn: tuple[StandIn, Reference], tmp_path_factory: pytest.TempPathFactory) -> Exported:
+def exported(reference: Reference, tmp_path_factory: pytest.TempPathFactory) -> Exported:
     """The beginning of the turn."""
-    reference = turn[1]
     whole = tracking_controller(reference, sampled_model(LAB, SETTINGS.rate), SETTINGS.controller)
     short = replace(
         whole, reference_states=whole.reference_states[: TICKS + 1], feedforward=whole.feedforward[:TICKS],

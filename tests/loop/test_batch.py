@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shadowing_stand_in import LAB, StandIn
+from shadowing_stand_in import LAB
 
 from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
@@ -108,8 +108,8 @@ def assert_same(one: BatchRun, other: BatchRun, within: float = 0.0) -> None:
         for k, (name, settings) in enumerate(KEPT_UP.items())
     ],
 )
-def test_a_seed_alone_is_the_seed_among_others(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
-    together, alone = both(turn[1], settings)
+def test_a_seed_alone_is_the_seed_among_others(reference: Reference, settings: LoopSettings) -> None:
+    together, alone = both(reference, settings)
     by_phase = isinstance(settings.controller, TvlqrSettings) and settings.controller.schedule == "phase"
     for one, other in zip(together, alone, strict=True):
         assert_same(one, other, within=BY_ITSELF if by_phase else 0.0)
@@ -120,9 +120,9 @@ def test_a_seed_alone_is_the_seed_among_others(turn: tuple[StandIn, Reference], 
 
 @pytest.mark.parametrize(("settings", "ending"), WHERE_IT_BREAKS.values(), ids=WHERE_IT_BREAKS.keys())
 def test_a_seed_alone_ends_where_and_as_it_does_among_others(
-    turn: tuple[StandIn, Reference], settings: LoopSettings, ending: Ending
+    reference: Reference, settings: LoopSettings, ending: Ending
 ) -> None:
-    together, alone = both(turn[1], settings)
+    together, alone = both(reference, settings)
     for one, other in zip(together, alone, strict=True):
         assert_same(one, other)
     assert ending in {run.ending for run in together}
@@ -137,7 +137,7 @@ def test_a_seed_alone_ends_where_and_as_it_does_among_others(
         replace(BASE, supervisor=SupervisorSettings(resynchronise=0.5)),
     ],
 )
-def test_settings_without_lockstep_are_known(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
-    assembly = Assembly(turn[1], LAB, BASE)
+def test_settings_without_lockstep_are_known(reference: Reference, settings: LoopSettings) -> None:
+    assembly = Assembly(reference, LAB, BASE)
     assert assembly.lockstep
     assert not assembly.under(settings).lockstep

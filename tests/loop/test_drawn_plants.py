@@ -46,21 +46,16 @@ def test_plants_have_the_covariance_times_the_scale(scale: float) -> None:
     assert np.abs(alike[0, 2:]).max() < 0.25
 
 
-def test_without_it_nothing_changes_and_with_it_nothing_but_the_plant() -> None:
-    plain, drawn = _draw(0.0), _draw(1.0)
-    assert plain.plant.arms == LAB
-    assert drawn.plant.arms != LAB
-    for name in ("initial_error", "zeros"):
-        assert np.array_equal(getattr(plain, name), getattr(drawn, name)), name
-    assert plain.streams.keys() == drawn.streams.keys()
-    for name in plain.streams:
-        assert np.array_equal(plain.drawn(name), drawn.drawn(name)), name
-    assert [(k, b.knock, *b.impulses) for k, b in plain.blows.items()] == [
-        (k, b.knock, *b.impulses) for k, b in drawn.blows.items()
-    ]
-
-
-def test_a_mismatch_comes_on_top_with_the_draw_that_it_has_alone() -> None:
-    alone, both, drawn = _draw(0.0, mismatch=0.05), _draw(1.0, mismatch=0.05), _draw(1.0)
+def test_only_the_plant_is_drawn_anew_and_a_mismatch_comes_on_top() -> None:
+    plain, alone, both, drawn = (_draw(scale, mismatch=m) for scale, m in ((0, 0), (0, 0.05), (1, 0.05), (1, 0)))
+    assert plain.plant.arms == LAB != drawn.plant.arms
+    for one in (alone, both, drawn):
+        assert np.array_equal(one.initial_error, plain.initial_error)
+        assert np.array_equal(one.zeros, plain.zeros)
+        assert one.streams.keys() == plain.streams.keys()
+        assert all(np.array_equal(one.drawn(name), plain.drawn(name)) for name in plain.streams)
+        assert [(k, b.knock, *b.impulses) for k, b in one.blows.items()] == [
+            (k, b.knock, *b.impulses) for k, b in plain.blows.items()
+        ]
     share = np.array(alone.plant.arms.mass) / np.array(LAB.mass)
     assert np.array(both.plant.arms.mass) == pytest.approx(share * np.array(drawn.plant.arms.mass), rel=1e-12)

@@ -10,7 +10,7 @@ from dpcontrol.foundation.causes import Cause
 from dpcontrol.logs import Event
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Ending, LoopSink
+from dpcontrol.loop.result import Ending, Events
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
 from dpcontrol.runs.run import assembled
@@ -28,20 +28,14 @@ FALLS = (Push(1.7, 0, 0.02), Push(3.0, 1, 0.02))
 """Blows that the law does not bear on seed 3."""
 
 
-class Told(LoopSink):
-    def __init__(self) -> None:
-        self.events: list[Event] = []
-
-    def event(self, event) -> None:
-        self.events.append(event)
-
+class Told(Events):
     def of(self, name: str) -> list[Event]:
-        return [event for event in self.events if event.name == name]
+        return [event for event in self.kept if event.name == name]
 
     @property
     def names(self) -> list[str]:
         kinds = ("return", "flight", "resume", "stop", "lap")
-        return [e.name for e in self.events if e.name in kinds]
+        return [e.name for e in self.kept if e.name in kinds]
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +97,7 @@ def test_a_blow_that_sends_the_cart_to_its_limit_is_returned_from(ready) -> None
     result, told = ready(Push(1.5, knock=-7.0))
     assert result.ending is Ending.FINISHED
     # A cart this fast is sent back for its speed, before it must brake for the track.
-    assert told.of("return"), told.events
+    assert told.of("return"), told.kept
     assert np.abs(result.ticks.truth[:, 4]).max() < 0.8
 
 

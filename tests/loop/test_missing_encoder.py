@@ -54,12 +54,6 @@ def test_the_angle_of_an_arm_without_an_encoder_has_no_effect(estimator: str, tm
         assert ticks.estimates.tobytes() == runs[0].estimates.tobytes()
 
 
-@pytest.mark.parametrize("encoders", [(True,), (False, False), False])
-def test_encoders_that_do_not_suit_the_arms_are_refused(encoders: Any, tmp_path: Path) -> None:
-    with pytest.raises(dp.InputError, match="encoders = "):
-        hold(tmp_path, encoders, seconds=1.0)
-
-
 def test_a_model_names_the_encoders_that_an_observer_can_miss() -> None:
     """Compare with the rank of Kalman's matrix; a mass at the outer joint alone does not turn the inner arm."""
     lab, single = dp.describe("lab"), dp.describe("single")

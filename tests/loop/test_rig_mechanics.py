@@ -10,20 +10,9 @@ from dpcontrol.control.tick import KnownMechanics
 from dpcontrol.loop.bench import BenchSettings, MechanicsSettings, draw_bench
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.plans.itinerary import itinerary_from
-from dpcontrol.plans.model import load_model
 from dpcontrol.references.problem import Limits
 
 LIMITS = Limits(position=0.4, velocity=3.0, acceleration=30.0)
-
-
-def read(text: str) -> MechanicsSettings:
-    return itinerary_from(f'hold = "up-up"\nstart = "hold"\n[run]\n{text}\n', "scene", load_model("lab")).loop.mechanics
-
-
-def test_play_and_stiction_are_one_number_for_all_arms_or_one_for_each() -> None:
-    assert read("play = 0.01").of_each("play", 3) == (0.01, 0.01, 0.01)
-    assert read("stiction = [2e-3, 1e-3]").of_each("stiction", 2) == (2e-3, 1e-3)
 
 
 def test_the_loop_models_the_true_play_and_belt_by_default() -> None:

@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB
 
+from dpcontrol.control.interface import clip_number
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.loop.bench import (
     BenchDraw,
@@ -262,3 +263,34 @@ def test_a_run_of_any_length_is_drawn_in_blocks_as_it_would_be_at_once() -> None
         assert later is not None
         assert [reader[k] for k in range(50_000)] == once.drawn(name).tolist(), name
         assert [later[k] for k in range(10_000)] == once.drawn(name)[40_000:].tolist(), name
+
+
+def test_a_drives_acceleration_and_velocity_stay_inside() -> None:
+    drive = DriveSettings().within(LIMITS, PERIOD, clip=clip_number)
+    assert drive.demanded(5.0, 0.0, 0.0) == 5.0
+    assert drive.demanded(50.0, 0.0, 0.0) == 30.0
+    assert drive.demanded(-50.0, 0.0, 0.0) == -30.0
+    assert drive.acting(30.0, 2.99, PERIOD) == pytest.approx(10.0)
+    assert 2.99 + drive.acting(30.0, 2.99, PERIOD) * PERIOD <= 3.0 + 1e-12
+    assert drive.acting(-30.0, 3.0, PERIOD) == -30.0
+    assert drive.acting(30.0, 3.0, PERIOD) == pytest.approx(0.0, abs=1e-9)
+    # Over a fraction of a period more is allowed, to the same velocity.
+    assert drive.acting(30.0, 2.99, PERIOD / 2) == pytest.approx(20.0)
+    # Too fast by a knock: back with all the drive has, not more.
+    assert drive.acting(30.0, 3.5, PERIOD) == -30.0
+    assert drive.acting(-30.0, -3.5, PERIOD) == 30.0
+
+    weak = DriveSettings(acceleration=4.0, velocity=0.5, response=0.8).within(LIMITS, PERIOD, clip=clip_number)
+    assert weak.demanded(3.0, 0.1, 0.0) == pytest.approx(2.5)
+    assert weak.demanded(20.0, 0.0, 0.0) == 4.0
+    assert weak.acting(4.0, 0.5, PERIOD) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_jerk_is_bounded_from_demand_to_demand() -> None:
+    drive = DriveSettings(jerk=2000.0).within(LIMITS, PERIOD, clip=clip_number)
+    last, given = 0.0, []
+    for _ in range(6):
+        last = drive.demanded(9.0, 0.0, last)
+        given.append(last)
+    assert given == pytest.approx([2.0, 4.0, 6.0, 8.0, 9.0, 9.0])
+    assert drive.demanded(-9.0, 0.0, 9.0) == pytest.approx(7.0)

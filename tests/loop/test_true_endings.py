@@ -8,15 +8,9 @@ import pytest
 from ending_truth import Flight, class_of, flights, untrue, untrue_score
 
 from dpcontrol.loop.result import Ending
-from dpcontrol.plans.itinerary import load_itinerary
-from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.plans.plan import Plan
 
 BENCH = {"initial_error": 0.05, "command_noise": 0.3, "controller": "tvlqr"}
-
-
-@pytest.fixture(scope="module")
-def plan() -> Plan:
-    return make_plan(load_itinerary("outer-turn"))
 
 
 def flown(plan: Plan, *, seed: int = 0, **options: Any) -> Flight:

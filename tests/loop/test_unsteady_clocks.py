@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shadowing_stand_in import LAB, StandIn
+from shadowing_stand_in import LAB
 
 from dpcontrol.control.estimator_settings import ADAPTIVE, EkfSettings
 from dpcontrol.control.tracking import AdaptiveSettings
@@ -45,8 +45,8 @@ def rate_errors(result: LoopResult) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, 1e-3])
-def test_the_spread_of_the_readings_ages_is_found(turn: tuple[StandIn, Reference], jitter: float) -> None:
-    result, loop = flown(turn[1], SensorSettings(jitter=jitter))
+def test_the_spread_of_the_readings_ages_is_found(reference: Reference, jitter: float) -> None:
+    result, loop = flown(reference, SensorSettings(jitter=jitter))
     assert result.ending is Ending.FINISHED
     # Uniform ages: their variance is a twelfth of their span squared.
     uniform = jitter / np.sqrt(12)
@@ -54,10 +54,10 @@ def test_the_spread_of_the_readings_ages_is_found(turn: tuple[StandIn, Reference
 
 
 @pytest.mark.slow
-def test_a_reported_age_leaves_the_rates_as_good_as_without_jitter(turn: tuple[StandIn, Reference]) -> None:
+def test_a_reported_age_leaves_the_rates_as_good_as_without_jitter(reference: Reference) -> None:
     jitter = SensorSettings(jitter=PERIOD)
     steady, unknown, known = (
-        rate_errors(flown(turn[1], sensors)[0])
+        rate_errors(flown(reference, sensors)[0])
         for sensors in (SensorSettings(), jitter, replace(jitter, ages="reported"))
     )
     assert known < 1.2 * steady

@@ -4,20 +4,19 @@ The cart is watched for a second after the run as well, on a track without hard 
 """
 
 import math
-from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from shadowing_stand_in import LAB, StandIn
+from kept_rows import Kept
+from shadowing_stand_in import LAB
 
-from dpcontrol.control.interface import Mode, sampled_model
-from dpcontrol.control.tracking import TrackingController, tracking_controller
-from dpcontrol.logs import Event
+from dpcontrol.control.interface import Mode
+from dpcontrol.control.tracking import TrackingController
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, SensorSettings, Unlike, draw_bench
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings, Ticks
+from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
 
@@ -25,24 +24,6 @@ AFTER = 1000  # Ticks for which the bench goes on when the loop has ended.
 TRACK = 10.0  # m: the hard stops are far away, so that it is the loop that keeps the cart inside its limits.
 AT_REST = 0.01  # m/s, of a cart that was braked.
 REAL = LoopSettings(seed=0, mismatch=0.02, initial_error=0.02, drive=DriveSettings(track=TRACK))
-
-
-@dataclass
-class Kept:
-    """A sink that keeps what it is given."""
-
-    times: list[float] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
-
-    def ticks(self, rows: Ticks) -> None:
-        self.times += deepcopy(rows.times).tolist()
-
-    def event(self, event: Event) -> None:
-        self.events.append(event)
-
-    @property
-    def names(self) -> list[str]:
-        return [event.name for event in self.events]
 
 
 @dataclass
@@ -55,19 +36,14 @@ class Ended:
     speed: float
 
 
-@pytest.fixture(scope="module")
-def controller(turn: tuple[StandIn, Reference]) -> TrackingController:
-    return tracking_controller(turn[1], sampled_model(LAB, 1000.0), REAL.controller)
-
-
 def ended(
-    turn: tuple[StandIn, Reference],
+    reference: Reference,
     controller: TrackingController,
     settings: LoopSettings,
     *,
     believed_delay: float | None = None,
 ) -> Ended:
-    assembly = Assembly(turn[1], LAB, settings, law=controller, believed_delay=believed_delay)
+    assembly = Assembly(reference, LAB, settings, law=controller, believed_delay=believed_delay)
     draw = draw_bench(
         LAB, settings.bench, seed=settings.seed, ticks=controller.ticks + 1 + AFTER, period=1e-3,
         unlike=Unlike(settings.mismatch, initial_error=settings.initial_error),
@@ -95,12 +71,13 @@ def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> Non
     assert run.farthest <= limit
     assert run.speed < AT_REST
     # Every tick is in the log, in order; the first event begins it and the last one is the ending, at the last tick.
-    assert log.times == record.ticks.times.tolist() == sorted(set(log.times))
+    logged = log.whole("times").tolist()
+    assert logged == record.ticks.times.tolist() == sorted(set(logged))
     assert np.isfinite(record.ticks.estimates).all()
     assert log.names[0] == "start"
-    assert (log.events[-1].level, log.events[-1].name) == ("error", ending.value)
-    assert log.events[-1].time == pytest.approx(log.times[-1])
-    times = [event.time for event in log.events]
+    assert (log.kept[-1].level, log.kept[-1].name) == ("error", ending.value)
+    assert log.kept[-1].time == pytest.approx(logged[-1])
+    times = [event.time for event in log.kept]
     assert times == sorted(times)
     assert "stop" in log.names
     assert record.ticks.control[-1, 6] == Mode.ABORTED
@@ -110,25 +87,23 @@ def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> Non
     ("sensor", "name"), [(0, "the encoder of joint 1"), (1, "the encoder of joint 2"), (2, "the cart's scale")]
 )
 def test_a_stuck_sensor_is_named_before_the_cart_runs_away(
-    turn: tuple[StandIn, Reference], controller: TrackingController, sensor: int, name: str
+    reference: Reference, controller: TrackingController, sensor: int, name: str
 ) -> None:
     for at in (0.5, 2.0, 3.7):
         settings = replace(REAL, sensors=SensorSettings(stuck_at=at, stuck_sensor=sensor))
-        run = ended(turn, controller, settings)
+        run = ended(reference, controller, settings)
         check(run, Ending.ESTIMATE_LOST, f"{name} is stuck", limit=0.05)
-        assert run.log.times[-1] < at + 0.6
+        assert run.log.whole("times")[-1] < at + 0.6
 
 
-def test_a_restart_and_a_move_of_the_clock_are_events(
-    turn: tuple[StandIn, Reference], controller: TrackingController
-) -> None:
+def test_a_restart_and_a_move_of_the_clock_are_events(reference: Reference, controller: TrackingController) -> None:
     nervous = SupervisorSettings(lost_estimate=5.0)
     strict = replace(REAL.estimator, parameter_error=0.0, rate_noise=1e-4)
-    run = ended(turn, controller, replace(REAL, mismatch=0.3, supervisor=nervous, estimator=strict))
+    run = ended(reference, controller, replace(REAL, mismatch=0.3, supervisor=nervous, estimator=strict))
     assert run.log.names.count("restart the estimator") == nervous.restarts
     check(run, Ending.ESTIMATE_LOST, "check the encoders")
     wandering = SupervisorSettings(resynchronise=0.06)
-    moved = ended(turn, controller, replace(REAL, mismatch=0.3, supervisor=wandering))
+    moved = ended(reference, controller, replace(REAL, mismatch=0.3, supervisor=wandering))
     assert "re-synchronise" in moved.log.names
 
 
@@ -156,12 +131,10 @@ def nasty(seed: int) -> tuple[LoopSettings, float]:
 
 
 @pytest.mark.slow
-def test_the_cart_stays_inside_its_limits_in_all_failures(
-    turn: tuple[StandIn, Reference], controller: TrackingController
-) -> None:
+def test_the_cart_stays_inside_its_limits_in_all_failures(reference: Reference, controller: TrackingController) -> None:
     for seed in range(24):
         settings, believed = nasty(seed)
-        run = ended(turn, controller, settings, believed_delay=believed)
+        run = ended(reference, controller, settings, believed_delay=believed)
         assert run.farthest <= 0.4, (seed, run.record.reason)
         assert run.speed < AT_REST
         if run.record.ending is not Ending.FINISHED:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shadowing_stand_in import StandIn
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.plans.plan import Plan
@@ -70,8 +69,7 @@ def test_a_content_that_contradicts_itself_is_refused(plan: Plan, change: Any) -
 
 
 @pytest.fixture
-def stored_turn(turn: tuple[StandIn, Reference], tmp_path: Path) -> tuple[Reference, Path]:
-    reference = turn[1]
+def stored_turn(reference: Reference, tmp_path: Path) -> tuple[Reference, Path]:
     path = tmp_path / "turn.npz"
     save_reference(path, reference)
     return reference, path
