@@ -8,11 +8,11 @@ from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, StandIn, orbit_stretch
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.references.find import find_reference, on_mesh, split_mesh
+from dpcontrol.references.find import find_reference, split_mesh
 from dpcontrol.references.method import radau
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import error_between_nodes, first_trajectory, largest_on_intervals
+from dpcontrol.references.trajectory import error_between_nodes, first_trajectory
 from dpcontrol.references.transcription import solve
 
 TOLERANCE = 1e-6  # Required error between nodes, scaled.
@@ -26,9 +26,7 @@ def stretch_problem(limits: Limits | None = None, duration: float = 0.7) -> Refe
     return ReferenceProblem(EQUATIONS, LAB.base(), orbit.guess, orbit.duration, limits or Limits())
 
 
-def test_error_between_nodes_agrees_with_an_independent_integrator(
-    tracked: tuple[StandIn, Reference],
-) -> None:
+def test_error_between_nodes_agrees_with_an_independent_integrator(tracked: tuple[StandIn, Reference]) -> None:
     _, reference = tracked
     assert reference.converged, reference.status
     rate = quick_rate(EQUATIONS)
@@ -36,22 +34,13 @@ def test_error_between_nodes_agrees_with_an_independent_integrator(
     worst = 0.0
     for i in range(0, len(reference.mesh) - 1, 23):
         start, end = reference.mesh[i], reference.mesh[i + 1]
-        curve = Polynomial.fit(
-            start + (end - start) * reference.method.points,
-            reference.inputs[i, :, 0],
-            len(reference.method.points) - 1,
-            domain=[start, end],
-        )
+        places, values = start + (end - start) * reference.method.points, reference.inputs[i, :, 0]
+        curve = Polynomial.fit(places, values, len(places) - 1, domain=[start, end])
         times = np.linspace(start, end, 33)
         flow = solve_ivp(
-            lambda t, x, curve=curve: np.array(rate(x, curve(t), LAB.base())).ravel(),
-            (start, end),
-            reference.states[i, 0],
-            t_eval=times,
-            method="DOP853",
-            rtol=1e-12,
-            atol=1e-12,
-        )
+            lambda t, x, curve=curve: np.array(rate(x, curve(t), LAB.base())).ravel(), (start, end),
+            reference.states[i, 0], t_eval=times, method="DOP853", rtol=1e-12, atol=1e-12,
+        )  # fmt: skip
         # The last time belongs to the next interval.
         worst = max(worst, float((np.abs(flow.y.T - reference.state(times)) / scale).max()))
     # The two methods use different points between the nodes.
@@ -59,7 +48,7 @@ def test_error_between_nodes_agrees_with_an_independent_integrator(
     assert max(worst, reference.max_error_between_nodes) <= TOLERANCE
 
 
-def test_reference_starts_and_ends_on_the_orbit_with_the_cart_at_rest_in_the_middle(
+def test_a_reference_starts_and_ends_on_the_orbit_with_the_cart_at_rest(
     tracked: tuple[StandIn, Reference],
 ) -> None:
     orbit, reference = tracked
@@ -68,9 +57,7 @@ def test_reference_starts_and_ends_on_the_orbit_with_the_cart_at_rest_in_the_mid
     assert reference.duration == pytest.approx(orbit.duration, abs=EXACT)
 
 
-def test_reference_stays_near_the_orbit_at_the_effort_of_friction(
-    tracked: tuple[StandIn, Reference],
-) -> None:
+def test_reference_stays_near_the_orbit_at_the_effort_of_friction(tracked: tuple[StandIn, Reference]) -> None:
     orbit, reference = tracked
     times = np.linspace(0.0, reference.duration, 5001)
     away = reference.state(times)[:, :2] - orbit.guess(times)[:, :2]
@@ -131,19 +118,3 @@ def test_splitting_keeps_accurate_intervals() -> None:
     mesh = split_mesh(np.array([0.0, 1.0, 2.0, 3.0]), np.array([1e-9, 1e-5, np.inf]), tolerance=1e-6, order=5)
     assert mesh[:2] == pytest.approx([0.0, 1.0])
     assert mesh == pytest.approx([0.0, 1.0, 1.5, 2.0, 2.25, 2.5, 2.75, 3.0])
-
-
-def test_a_trajectory_on_a_finer_mesh_is_the_same_polynomial() -> None:
-    problem, method = stretch_problem(), radau(5)
-    coarse = first_trajectory(problem, method, np.linspace(0.0, problem.duration, 8))
-    fine = on_mesh(coarse, np.sort(np.concatenate([coarse.mesh, [0.03, 0.31]])))
-    again = on_mesh(fine, coarse.mesh)
-    # Both halves have the same polynomial of degree five.
-    assert again.states == pytest.approx(coarse.states, abs=1e-5)
-    assert fine.states[0, 0] == pytest.approx(coarse.states[0, 0], abs=EXACT)
-
-
-def test_the_largest_value_between_samples_is_computed() -> None:
-    points = radau(5).points
-    curve = Polynomial([0.0, 4.0, -4.0])
-    assert largest_on_intervals(points, curve(points)[None, :], above=0.5) == pytest.approx(1.0, abs=EXACT)
