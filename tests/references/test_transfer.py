@@ -2,19 +2,16 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from flown_again import gaps
 from shadowing_stand_in import LAB
 
-from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
-from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.plans.layout import GENTLE, SHORTEST, Pace
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.transfers import ROOM, Transfer, find_transfer
 from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import Limits, ReferenceSettings, state_scale
-from dpcontrol.references.reference import Reference, joined, still
-from dpcontrol.references.trajectory import power_coefficients
+from dpcontrol.references.problem import Limits, ReferenceSettings
+from dpcontrol.references.reference import joined, still
 
 SETTINGS = ReferenceSettings(method="radau-7", interval=0.05)
 COARSE = ReferenceSettings(method="radau-5", interval=0.1, tolerance=1e-3)
@@ -26,18 +23,6 @@ SAME_MOTION = 1e-6  # rad, and relative to lengths and rates: solvers stop at 1e
 
 def swing(pace: Pace, *, limits: Limits | None = None) -> Transfer:
     return Transfer("", "lab", LAB, limits or Limits(), SETTINGS, HANGING, (tuple(UP.tolist()),), pace)
-
-
-def gaps(reference: Reference, arms: ArmChainParameters) -> NDArray[np.float64]:
-    """Return the scaled distances (N-1, 6) of the intervals' ends from the next intervals' starts."""
-    points, lengths = reference.method.points, np.diff(reference.mesh)
-    propagator = PolynomialInputPropagator(
-        arm_chain_equations(arms.count, Level.CART), arms.base(), degree=len(points) - 1
-    )
-    powers = power_coefficients(points, reference.inputs[..., 0]) / lengths[:, None] ** np.arange(len(points))
-    starts = reference.states[:, 0]
-    landed = [propagator.flow(*flight) for flight in zip(starts[:-1], powers[:-1], lengths[:-1], strict=True)]
-    return np.abs(landed - starts[1:]) / state_scale(reference.states.shape[-1], reference.limits)
 
 
 @pytest.fixture(scope="module")
