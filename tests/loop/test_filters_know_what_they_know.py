@@ -4,6 +4,7 @@ A consistent filter has an rms of 1. The bounds allow for the scatter of a sampl
 Rounding errors of arms at rest are not white, and at ±20 % squares of the errors exceed the modelled noise.
 """
 
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -57,6 +58,7 @@ def flown(request: pytest.FixtureRequest):
 def test_parameters_are_as_uncertain_as_they_are_wrong_at_any_mismatch(flown) -> None:
     for mismatch in (0.05, 0.2):
         found = of_kind(flown(UNTOLD, mismatch), "M", "S")
+        sys.stdout.write(f"\n±{mismatch:.0%}, untold lag: parameters {found.round(2)}")
         for values, (low, high) in ((found[:1], EARLY), (found[1:], PARAMETERS)):
             assert ((values > low) & (values < high)).all()
 
@@ -66,6 +68,7 @@ def test_states_have_the_expected_errors_on_a_bench_that_fits_the_model(flown) -
     found = flown(SAME_BENCH, 0.05)
     for kind in ("angle", "rate", "cart", "velocity"):
         over = of_kind(found, kind)
+        sys.stdout.write(f"\n{kind} {over.round(2)}")
         low, high = SLOW if kind == "angle" else STATES
         assert (over > low).all(), kind
         assert (over < high).all(), kind
