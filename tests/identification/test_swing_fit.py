@@ -7,15 +7,7 @@ import pytest
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
-from dpcontrol.dynamics.chain import (
-    ArmChainParameters,
-    Friction,
-    Level,
-    base_from_ratios,
-    base_ratios,
-    equations_of,
-    with_laws,
-)
+from dpcontrol.dynamics.chain import Friction, Level, base_from_ratios, base_ratios, equations_of, with_laws
 from dpcontrol.identification.fit import Swing, SwingFit, Swings, fit_swings
 from dpcontrol.identification.windows import FitSettings
 from dpcontrol.plans.model import load_model
@@ -36,14 +28,9 @@ def flown(state: np.ndarray, times: np.ndarray, ratios: np.ndarray = RATIOS, u: 
     rate = quick_rate(equations_of(ARMS, Level.CART))
     base = np.array(base_from_ratios(ratios, ARMS))
     solved = solve_ivp(
-        lambda _, x: np.array(rate(x, u, base)).ravel(),
-        (0.0, times[-1]),
-        np.append(state, [0.0, 0.0]),
-        method="DOP853",
-        rtol=1e-12,
-        atol=1e-12,
-        t_eval=times,
-    )
+        lambda _, x: np.array(rate(x, u, base)).ravel(), (0.0, times[-1]), np.append(state, [0.0, 0.0]),
+        method="DOP853", rtol=1e-12, atol=1e-12, t_eval=times,
+    )  # fmt: skip
     return solved.y[:N].T
 
 
@@ -56,15 +43,8 @@ def model() -> Swings:
 @pytest.mark.parametrize("u", [0.0, 3.0])
 def test_states_and_slopes_agree_with_scipy(model: Swings, u: float) -> None:
     start, times = np.array([0.9, -0.4, 1.0, -2.0]), np.linspace(0.0, 0.5, 501)
-    accelerations = np.full((1, 501), u)
-    states, slopes = model.flown(
-        start[None],
-        RATIOS,
-        period=np.array([1e-3]),
-        samples=501,
-        accelerations=accelerations,
-        velocities=u * times[None],
-    )
+    cart = {"accelerations": np.full((1, 501), u), "velocities": u * times[None]}
+    states, slopes = model.flown(start[None], RATIOS, period=np.array([1e-3]), samples=501, **cart)
     assert np.abs(states[0] - flown(start, times, u=u)).max() < STEPPED
     # An angle, a rate, ratios of inertia and weight, and one of each friction law.
     for column in (1, 2, N, N + 3, N + 5, N + 6, N + 9) if u else (0, 3, N + 1, N + 2, N + 4):
@@ -76,23 +56,14 @@ def test_states_and_slopes_agree_with_scipy(model: Swings, u: float) -> None:
         assert np.abs(slopes[0, :, :, column] - expected).max() < DIFFERENCES * max(1.0, np.abs(expected).max())
 
 
-def swings_from(starts: list[list[float]], seconds: float = 2.0, arms: ArmChainParameters = ARMS) -> list[Swing]:
+def swings_from(starts: list[list[float]], seconds: float = 2.0, ratios: np.ndarray = RATIOS) -> list[Swing]:
     times = np.arange(round(seconds / 2e-3) + 1) * 2e-3
-    return [Swing(flown(np.array(s), times, base_ratios(arms))[:, :2], 2e-3) for s in starts]
+    return [Swing(flown(np.array(s), times, ratios)[:, :2], 2e-3) for s in starts]
 
 
-def fitted(
-    model: Swings, swings: list[Swing], first: np.ndarray, settings: FitSettings | None = None, *, zeros: bool = False
-) -> SwingFit:
-    return fit_swings(
-        model,
-        swings,
-        parameters=first,
-        zeros=np.zeros((1, 2)),
-        free=np.ones(len(first), dtype=bool),
-        free_zeros=zeros,
-        settings=settings or FitSettings(),
-    )
+def fitted(model: Swings, swings: list[Swing], first: np.ndarray, **settings: float) -> SwingFit:
+    known = {"zeros": np.zeros((1, 2)), "free": np.ones(len(first), dtype=bool), "free_zeros": False}
+    return fit_swings(model, swings, parameters=first, settings=FitSettings(**settings), **known)
 
 
 @pytest.fixture(scope="module")
@@ -111,13 +82,6 @@ def test_ratios_are_recovered_from_a_guess_with_an_error_of_a_tenth(model: Swing
     assert fit.gap < 1e-6
 
 
-def test_zeros_are_recovered_with_the_ratios(model: Swings, exact: list[Swing]) -> None:
-    zeros = np.array([2e-3, -1e-3])
-    fit = fitted(model, [replace(s, angles=s.angles + zeros) for s in exact], RATIOS, zeros=True)
-    assert fit.converged
-    assert fit.zeros[0] == pytest.approx(zeros, abs=1e-6)
-
-
 def test_outliers_have_little_effect_on_the_robust_fit(model: Swings, exact: list[Swing]) -> None:
     random = np.random.default_rng(3)
     spoiled = []
@@ -125,7 +89,7 @@ def test_outliers_have_little_effect_on_the_robust_fit(model: Swings, exact: lis
         angles = swing.angles + random.normal(0, 5e-5, swing.angles.shape)
         angles[random.random(len(angles)) < 0.02, 1] += 0.05
         spoiled.append(replace(swing, angles=angles))
-    robust, squares = fitted(model, spoiled, RATIOS), fitted(model, spoiled, RATIOS, FitSettings(robust=0.0))
+    robust, squares = fitted(model, spoiled, RATIOS), fitted(model, spoiled, RATIOS, robust=0.0)
     off = [np.abs(fit.parameters[:4] / RATIOS[:4] - 1).max() for fit in (robust, squares)]
     assert off[0] < 2e-4
     assert off[1] > 3 * off[0]
@@ -136,14 +100,14 @@ def test_a_chaotic_swing_requires_short_windows(model: Swings) -> None:
     high = swings_from([[3.0, 1.5, 0.0, 0.0], [2.6, -2.0, 0.0, 0.0]], seconds=3.0)
     first = RATIOS * np.where(np.arange(len(RATIOS)) < 4, 1.01, 1.0)
     windows = fitted(model, high, first)
-    whole = fitted(model, high, first, FitSettings(window=10.0, iterations=8))
+    whole = fitted(model, high, first, window=10.0, iterations=8)
     assert windows.converged
     assert windows.parameters[:4] == pytest.approx(RATIOS[:4], rel=1e-4)
     assert whole.rms.max() > 100 * windows.rms.max()
 
 
 def test_fitted_friction_is_not_negative(model: Swings) -> None:
-    without = replace(ARMS, viscous=(0.0, 0.0), coulomb=(0.0, 0.0), quadratic=(0.0, 1.7e-3))
-    fit = fitted(model, swings_from([[1.0, 0.3, 0.0, 0.0], [-0.4, 1.1, 0.0, 0.0]], arms=without), RATIOS)
+    without = base_ratios(replace(ARMS, viscous=(0.0, 0.0), coulomb=(0.0, 0.0), quadratic=(0.0, 1.7e-3)))
+    fit = fitted(model, swings_from([[1.0, 0.3, 0.0, 0.0], [-0.4, 1.1, 0.0, 0.0]], ratios=without), RATIOS)
     assert (fit.parameters[4:] >= 0).all()
     assert fit.parameters[4:9] == pytest.approx(np.zeros(5), abs=0.02)
