@@ -32,10 +32,9 @@ def design() -> Design:
 def test_information_agrees_with_a_fit_to_the_same_swing(design: Design) -> None:
     best = next(e for e in design.ranked() if e.kind == "swing")
     recording = simulated_recording(LAB, [np.array(best.angles)], seconds=QUICK.seconds, period=QUICK.period)
-    fit = fit_swings(
-        Swings(LAB), cut_into_swings([recording], 2, 10.0)[0], parameters=base_ratios(LAB), zeros=np.zeros((1, 2)),
-        free=np.ones(6, dtype=bool), free_zeros=True, settings=FitSettings(robust=0.0, window=0.4),
-    )  # fmt: skip
+    swings, settings = cut_into_swings([recording], 2, 10.0)[0], FitSettings(robust=0.0, window=0.4)
+    first = {"parameters": base_ratios(LAB), "zeros": np.zeros((1, 2))}
+    fit = fit_swings(Swings(LAB), swings, **first, free=np.ones(6, dtype=bool), free_zeros=True, settings=settings)
     # Zeros are eliminated, slopes are over logarithms, and both angles have the same rounding variance.
     whole, m = fit.information, 6
     reduced = whole[:m, :m] - whole[:m, m:] @ np.linalg.solve(whole[m:, m:], whole[m:, :m])

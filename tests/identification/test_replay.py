@@ -36,10 +36,7 @@ RATES = 0.15  # rad/s rms: required for the recorded, filtered rates
 PUBLISHED = (2.0e-3, 5.5e-3)  # rad rms over whole segments with the published parameters
 IDENTIFIED = 1.6e-3  # rad rms over whole segments allowed for the identified model
 
-ARMS = ArmChainParameters(
-    mass=LAB["m"], centre_of_mass=LAB["a"], length=(LAB["l"], 0.2286), inertia=LAB["J"], gravity=LAB["g"],
-    viscous=LAB["k"],
-)  # fmt: skip
+ARMS = ArmChainParameters(LAB["m"], LAB["a"], (LAB["l"], 0.2286), LAB["J"], LAB["g"], LAB["k"])
 
 
 def counted(states: Array) -> Array:

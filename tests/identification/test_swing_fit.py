@@ -26,12 +26,13 @@ N = 4
 
 def flown(state: np.ndarray, times: np.ndarray, ratios: np.ndarray = RATIOS, u: float = 0.0) -> np.ndarray:
     rate = quick_rate(equations_of(ARMS, Level.CART))
-    base = np.array(base_from_ratios(ratios, ARMS))
-    solved = solve_ivp(
-        lambda _, x: np.array(rate(x, u, base)).ravel(), (0.0, times[-1]), np.append(state, [0.0, 0.0]),
-        method="DOP853", rtol=1e-12, atol=1e-12, t_eval=times,
-    )  # fmt: skip
-    return solved.y[:N].T
+    base, start = np.array(base_from_ratios(ratios, ARMS)), np.append(state, [0.0, 0.0])
+
+    def slope(_: float, x: np.ndarray) -> np.ndarray:
+        return np.array(rate(x, u, base)).ravel()
+
+    tight = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
+    return solve_ivp(slope, (0.0, times[-1]), start, t_eval=times, **tight).y[:N].T
 
 
 @pytest.fixture(scope="module")

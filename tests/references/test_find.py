@@ -37,10 +37,12 @@ def test_error_between_nodes_agrees_with_an_independent_integrator(tracked: tupl
         places, values = start + (end - start) * reference.method.points, reference.inputs[i, :, 0]
         curve = Polynomial.fit(places, values, len(places) - 1, domain=[start, end])
         times = np.linspace(start, end, 33)
-        flow = solve_ivp(
-            lambda t, x, curve=curve: np.array(rate(x, curve(t), LAB.base())).ravel(), (start, end),
-            reference.states[i, 0], t_eval=times, method="DOP853", rtol=1e-12, atol=1e-12,
-        )  # fmt: skip
+
+        def slope(t: float, x: np.ndarray, curve: Polynomial = curve) -> np.ndarray:
+            return np.array(rate(x, curve(t), LAB.base())).ravel()
+
+        tight = {"t_eval": times, "method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
+        flow = solve_ivp(slope, (start, end), reference.states[i, 0], **tight)
         # The last time belongs to the next interval.
         worst = max(worst, float((np.abs(flow.y.T - reference.state(times)) / scale).max()))
     # The two methods use different points between the nodes.
