@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import open_writer, sample, tick_all
+from log_samples import log_ticks, open_writer, sample, tick_all
 from mcap.reader import make_reader
 
 from dpcontrol.foundation.errors import InputError
@@ -34,8 +34,7 @@ def test_ticks_that_arrive_together_form_long_chunks_which_read_back_equal(tmp_p
     with open_writer(singly, run) as log:
         tick_all(log, run)
     with open_writer(together, run) as log:
-        parts = ("measured", "estimate", "reference", "truth", "control", "extras")
-        log.ticks(run.time, **{part: getattr(run, part) for part in parts})
+        log_ticks(log, run, 0, len(run.time))
     chunks = [make_reader(path.open("rb")).get_summary().chunk_indexes for path in (singly, together)]
     assert [len(indexes) for indexes in chunks] == [50, 5]
     assert sum(index.compressed_size for index in chunks[1]) < sum(index.compressed_size for index in chunks[0])

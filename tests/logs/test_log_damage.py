@@ -3,17 +3,21 @@
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
-from log_corruption import KINDS, damaged
+from log_corruption import KINDS, damaged, records
 from log_endurance import endure
-from log_samples import sample, write_sample
+from log_samples import RATE, sample, write_sample
+from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import read_log, recover
 
 EXAMPLES = 100
+CHUNK = 20
+"""Ticks in a chunk at 1 kHz: what a damaged byte may cost."""
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +44,18 @@ def test_a_damaged_log_is_read_as_written_or_refused_and_its_recovery_is_honest(
     folder = tmp_path_factory.getbasetemp()
     ended = endure(read_log(whole), folder, damaged(whole.read_bytes(), kind, seed))
     assert ended in ("wholly", "harmless") or kind not in ("swap", "repeat", "index", "tail", "joined")
+
+
+def test_a_flipped_bit_costs_one_chunk_at_most(whole: Path, tmp_path: Path) -> None:
+    data = whole.read_bytes()
+    chunks = [(a, b) for opcode, a, b in records(data) if opcode == Opcode.CHUNK]
+    for number, (start, end) in list(enumerate(chunks))[1:-1:3]:
+        changed = bytearray(data)
+        changed[(start + end) // 2] ^= 4
+        (tmp_path / "bad.mcap").write_bytes(changed)
+        done = recover(tmp_path / "bad.mcap", tmp_path / "out.mcap", force=True)
+        assert done.ticks_lost == CHUNK
+        assert np.flatnonzero(np.diff(read_log(done.log).time) > 1.5 / RATE) == [number * CHUNK - 1]
 
 
 @pytest.mark.parametrize(
