@@ -34,12 +34,6 @@ def test_start_up_is_separated_from_repeated_time():
     assert (found.first, found.seconds, found.result) == (6.0, 1.0, "a")
 
 
-def test_slow_work_is_not_repeated_beyond_its_time_limit():
-    machine = Machine()
-    assert timed(machine.work("a", 3.0), 50, most=5.0, clock=machine.clock).seconds == 3.0
-    assert len(machine.calls) == 3
-
-
 def test_compared_methods_alternate():
     # The machine becomes slower in the second half.
     machine = Machine(lambda call: 1.0 if call <= 12 else 2.0)

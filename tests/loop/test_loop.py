@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from kept_rows import Kept
@@ -14,7 +12,6 @@ from dpcontrol.logs.layout import control_fields
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Ending, LoopSink, SinkBeside
-from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
 COUNT = 2 * np.pi / 40_000
@@ -89,12 +86,3 @@ def test_a_sink_beside_the_loop_sees_the_same_and_what_fails_there_ends_the_run(
 
     with pytest.raises(InputError, match="the disk is full"), SinkBeside(Fails()) as beside:
         run(beside)
-
-
-def test_a_weak_drive_is_reported_as_saturated(reference: Reference, controller: TrackingController) -> None:
-    weak = replace(reference, limits=Limits(acceleration=0.3))
-    kept = Kept()
-    result = Assembly(weak, LAB, REAL, law=controller).simulate(sink=kept)
-    assert np.abs(result.ticks.control[:, FIELDS["applied"]]).max() <= 0.3
-    assert result.ticks.control[:, FIELDS["saturated"]].any()
-    assert "saturated" in kept.names

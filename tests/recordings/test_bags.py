@@ -10,7 +10,6 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from dpcontrol.foundation.errors import Remark
-from dpcontrol.logs import LogWriter
 from dpcontrol.recordings.importing import import_recording
 
 SAMPLES, PERIOD, START = 300, 0.002, 1_700_000_000
@@ -152,17 +151,3 @@ def test_a_bag_is_imported_where_all_its_topics_have_values(tmp_path: Path) -> N
     assert found.cart is not None
     assert np.allclose(found.cart, 0.1 * (np.arange(1, 200) - 0.1), atol=1e-9)
     assert not found.notes
-
-
-@pytest.mark.parametrize(("arms", "has_rates"), [(1, False), (3, True)])
-def test_a_log_is_imported_with_all_its_arms(tmp_path: Path, arms: int, has_rates: bool) -> None:
-    angles = np.column_stack([ANGLES, ANGLES[:, :1]])[:, :arms]
-    rates = np.gradient(angles, PERIOD, axis=0)
-    with LogWriter(
-        tmp_path / "run.mcap", arm_lengths=(0.1, 0.2, 0.3)[:arms], rate_hz=1 / PERIOD, has_cart=False
-    ) as writer:
-        writer.ticks(TIME, measured=angles, rates=rates if has_rates else None)
-    found = import_recording(tmp_path / "run.mcap")
-    assert np.allclose(found.angles, angles, atol=1e-12)
-    assert (found.rates is not None) == has_rates
-    assert found.cart is None

@@ -11,7 +11,7 @@ import pytest
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.plans.plan import Plan
-from dpcontrol.references.content import FlightSegment, PlanContent, StaySegment, restored, stored
+from dpcontrol.references.content import FlightSegment, PlanContent, StaySegment, stored
 from dpcontrol.references.reference import Reference, load_reference, save_reference
 
 
@@ -41,12 +41,6 @@ def test_the_orbits_of_a_walk_close_after_their_period(plan: Plan) -> None:
     for orbit in plan.content.orbits:
         end = system.propagator.sample(np.array(orbit.state), np.array([0.0, orbit.free_period]))[-1]
         assert np.abs(end - orbit.state).max() < 1e-9  # of the search: 1e-12, grown by the multiplier
-
-
-def test_a_plan_with_unknown_parts_is_refused(plan: Plan) -> None:
-    notes, arrays = stored(plan.content)
-    with pytest.raises(ValueError, match="stay"):
-        restored({**notes, "stay": {"kind": "orbit", "orbit": "down-up"}}, arrays, arms=2)
 
 
 @pytest.mark.parametrize(

@@ -169,14 +169,6 @@ def test_a_loop_that_never_starts_does_not_block_others() -> None:
             assert (rig.read().positions == 0).all()
 
 
-def test_only_who_gets_the_welcome_can_start_a_run() -> None:
-    with served(Toy()) as bench, closing(Raw(bench.address).socket) as stranger:
-        stranger.send(packets.packed(packets.Start(()), Role.LOOP, session=0, sequence=1))
-        # Otherwise the bench would be busy.
-        with UdpRig(bench.address, settings=LONG) as rig:
-            assert (rig.read().positions == 0).all()
-
-
 def test_a_bench_beyond_loopback_requires_a_key_or_insecure() -> None:
     assert dpcontrol("rig", "outer-turn", "--host", "0.0.0.0").code == 2
     assert dpcontrol("rig", "outer-turn", "--host", "", "--insecure").code == 2

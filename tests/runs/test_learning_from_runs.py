@@ -1,12 +1,9 @@
 """Arms learnt from runs: their coordinates, the combination of runs, and second runs."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import dpcontrol
 
 import dpcontrol as dp
 from dpcontrol.control.estimator_settings import ADAPTIVE, Augment, EkfSettings, constants, extra_names
@@ -162,15 +159,3 @@ def test_friction_of_another_kind_leaves_the_arms_uncertain() -> None:
     second = dp.run(learnt.plan, plant="lab-identified", seed=4)
     assert second.converged
     assert feedback(second) < 2 * feedback(run)
-
-
-@pytest.mark.slow
-def test_the_verb_writes_a_model_and_a_plan_that_runs(first_run: Run, tmp_path: Path) -> None:
-    log = str(first_run.log.path)
-    ended = dpcontrol("learn", log, "--json", "--out", str(tmp_path / "rig.toml"))
-    assert ended.code == 0, ended.stderr
-    document = json.loads(ended.stdout)
-    assert document["effort_before"] > document["effort_expected"] > 0
-    assert {one["name"] for one in document["means"]} == set(load_model(str(tmp_path / "rig.toml")).uncertainty.names)
-    assert dp.open_plan(tmp_path / "rig.npz").itinerary.loop.estimator.learnt
-    assert dp.run(str(tmp_path / "rig.npz"), settings={"mismatch": 0.0, "model_uncertainty": 1.0}).converged

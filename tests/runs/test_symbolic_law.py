@@ -54,16 +54,6 @@ def test_expressions_fly_as_the_same_law_in_python_does() -> None:
     assert made.log.events[0].text.startswith("own, ekf")
 
 
-@pytest.mark.slow
-def test_the_memory_starts_at_first_and_continues_from_tick_to_tick() -> None:
-    def counts(state, reference, memory, parameters):
-        return memory[0] + memory[1], ca.vertcat(memory[0] + 0.001, memory[1])
-
-    log = dp.closed_loop(PLAN, controller=dp.SymbolicLaw(counts, memory=2, first=[0.0, -0.25])).run().log
-    commands = log.controls["feedforward"] + log.controls["feedback"]
-    assert commands[:40] == pytest.approx(0.001 * np.arange(40) - 0.25, abs=1e-12)
-
-
 # Slow: C is made and compiled.
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="there is no gcc")
