@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from bench_recordings import write_csv
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 from scipy.io import savemat
 
 from dpcontrol.foundation.errors import InputError
@@ -23,10 +22,6 @@ PERIOD = 1e-4  # s, of the data set's recordings of one and three arms
 AMPLITUDE, FREQUENCY = 0.05, 0.47  # m, Hz: the data set's cart went to and fro every 2.1 s
 
 
-def _times(count: int, period: float) -> Array:
-    return np.asarray(np.arange(count) * period, dtype=np.float64)
-
-
 def _variables(angles: Array, rates: Array, times: Array) -> dict[str, Any]:
     """Return the data set's variables for several arms: one for each angle and rate, from upright."""
     named: dict[str, Any] = {"Time": times[:, None], "dt": times[1] - times[0]}
@@ -40,35 +35,19 @@ def _logged(values: Array, times: Array) -> dict[str, Any]:
     return {"time": times[:, None], "signals": {"values": values[:, None], "dimensions": 1.0, "label": ""}}
 
 
-def _swing(model: str, start: list[float], *, seconds: float = 1.0) -> tuple[Array, Array, Array]:
-    arms = load_model(model).arms
-    made = simulated_recording(arms, [np.array(start)], seconds=seconds, period=PERIOD, counts=0)
-    return made.angles, np.gradient(made.angles, PERIOD, axis=0, edge_order=2), made.time
-
-
-def _one_arm(times: Array, *, driven: bool) -> tuple[Array, Array]:
-    """Return angle and cart (K,) of a mathematical pendulum of 0.15 m whose pivot moves to and fro."""
-    turning, length = 2 * np.pi * FREQUENCY, 0.15
-    amplitude = AMPLITUDE if driven else 0.0
-
-    def motion(t: float, state: Array) -> list[float]:
-        pivot = -amplitude * turning**2 * np.sin(turning * t)
-        return [state[1], -(9.81 * np.sin(state[0]) + pivot * np.cos(state[0])) / length]
-
-    flown = solve_ivp(motion, (0, times[-1]), [0.8, 0.0], t_eval=times, rtol=1e-10, atol=1e-12)
-    return flown.y[0], amplitude * np.sin(turning * times)
+def _way(times: Array) -> tuple[Array, Array]:
+    """Return position and velocity (K,) of a cart that moves to and fro."""
+    turning = 2 * np.pi * FREQUENCY
+    return AMPLITUDE * np.sin(turning * times), AMPLITUDE * turning * np.cos(turning * times)
 
 
 @pytest.mark.parametrize("driven", [False, True])
 def test_one_arm_logged_as_structures_opens_with_a_moving_cart(tmp_path: Path, driven: bool) -> None:
-    times = _times(20_000, PERIOD)
-    angle, cart = _one_arm(times, driven=driven)
+    swing = simulated_recording(load_model("single").arms, [np.array([0.8])], seconds=2.0, period=PERIOD, counts=0)
+    times, angle, (cart, velocity) = swing.time, swing.angles[:, 0], _way(swing.time)
     variables = {"Theta1": _logged(angle + np.pi, times)}
     if driven:
-        variables |= {
-            "Distance": _logged(cart, times),
-            "Velocity": _logged(np.asarray(np.gradient(cart, PERIOD), dtype=np.float64), times),
-        }
+        variables |= {"Distance": _logged(cart, times), "Velocity": _logged(velocity, times)}
     savemat(tmp_path / "single.mat", variables)
     recording = import_recording(tmp_path / "single.mat")
     assert recording.arms == 1
@@ -83,9 +62,9 @@ def test_one_arm_logged_as_structures_opens_with_a_moving_cart(tmp_path: Path, d
 def test_two_and_three_arms_open_with_the_way_of_their_cart(
     tmp_path: Path, model: str, start: list[float], cart: str
 ) -> None:
-    angles, rates, times = _swing(model, start)
-    way = np.asarray(AMPLITUDE * np.sin(2 * np.pi * FREQUENCY * times), dtype=np.float64)
-    speed = np.asarray(np.gradient(way, PERIOD), dtype=np.float64)
+    swing = simulated_recording(load_model(model).arms, [np.array(start)], seconds=1.0, period=PERIOD, counts=0)
+    angles, times, (way, speed) = swing.angles, swing.time, _way(swing.time)
+    rates = np.gradient(angles, PERIOD, axis=0, edge_order=2)
     signals = {} if cart == "none" else {"Distance": way, "Velocity": speed}
     logged = {name: _logged(v, times) if cart == "structures" else v[:, None] for name, v in signals.items()}
     savemat(tmp_path / "whole.mat", _variables(angles, rates, times) | logged)
@@ -114,7 +93,7 @@ command = "wanted"
 
 
 def test_a_cart_and_its_command_come_in_and_survive_the_log(tmp_path: Path) -> None:
-    times = _times(800, 1e-3)
+    times = 1e-3 * np.arange(800)
     way = AMPLITUDE * np.sin(2 * np.pi * times)
     columns = {"t": 1e3 * times, "inner": 0.3 * np.cos(8 * times), "outer": 0.2 * np.cos(8 * times + 0.3)}
     columns |= {"way": 1e3 * way, "wanted": -((2 * np.pi) ** 2) * way}
