@@ -18,6 +18,7 @@ SANITIZED = ["-g1", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recove
 """With gcc, more debugging information than lines is too much."""
 WARNINGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
 SOURCES = ["dpc_controller.c", "dpc_tables.c"]
+REPLAY = [*SOURCES, "main_replay.c"]
 
 
 def needed(program: str) -> str:

@@ -1,21 +1,19 @@
 """Exported C99 compared with the loop's tick, by gcc and clang: equal commands and decisions."""
 
 import ctypes
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from c_compilers import SOURCES, SideBySide, compiled, library, needed, ran
+from c_compilers import REPLAY, SOURCES, SideBySide, compiled, library, needed, ran
 from library_program import LibraryProgram
 
-from dpcontrol.control import export
 from dpcontrol.control.tick import SETTLING
 from dpcontrol.control.tick_parts import Outcome
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.plans.plan import Plan
-from dpcontrol.runs.run import export_plan
 
 SAME = 1e-9  # m/s²: rounding of sines times the law's gains, and interpolation of the tables.
 RUNNING, FINISHED, BRAKING, AT_REST = range(4)
@@ -49,7 +47,7 @@ def test_nothing_is_allocated_and_no_other_name_is_taken(double: Path) -> None:
 @pytest.mark.slow
 def test_a_replayed_run_gets_the_loops_commands(double: Path) -> None:
     folder = double
-    program = compiled("gcc", "-O1", folder=folder, out="replay", sources=[*SOURCES, "main_replay.c"])
+    program = compiled("gcc", "-O1", folder=folder, out="replay", sources=REPLAY)
     done = ran(program, "readings.csv", folder=folder)
     assert done.returncode == 0, done.stderr
     rows = np.genfromtxt(done.stdout.splitlines(), delimiter=",", skip_header=1)
@@ -72,28 +70,20 @@ def test_a_replayed_run_gets_the_loops_commands(double: Path) -> None:
 
 # Slow: seconds for generation and compilation of C.
 @pytest.mark.slow
-def test_a_law_with_a_known_lag_is_exported_with_it(
-    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    scene = plan.itinerary.with_run({"lag": 0.02, "drive_lag": 0.02, "controller": "adaptive"})
-    source = export_plan(replace(plan, itinerary=scene), tmp_path / "lag")
-    assert "gains 6, drive 1, drive_gain 1" in source.files["dpc_tables.h"]
-    program = compiled("gcc", "-O0", folder=tmp_path / "lag", out="replay", sources=[*SOURCES, "main_replay.c"])
-    done = ran(program, "readings.csv", folder=tmp_path / "lag")
+def test_a_law_with_a_known_lag_is_exported_with_it(exported_law: Callable[..., Path]) -> None:
+    folder = exported_law("outer-turn", "adaptive", "double", lag=0.02, drive_lag=0.02)
+    assert "gains 6, drive 1, drive_gain 1" in (folder / "dpc_tables.h").read_text()
+    program = compiled("gcc", "-O0", folder=folder, out="replay", sources=REPLAY)
+    done = ran(program, "readings.csv", folder=folder)
     assert done.returncode == 0, done.stderr
     assert "4877 ticks, commands differ by" in done.stderr
 
 
 # Slow: seconds for generation and compilation of C.
 @pytest.mark.slow
-def test_an_export_ignores_the_angle_of_an_arm_without_an_encoder(
-    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    folder = tmp_path / "blind"
-    export_plan(replace(plan, itinerary=plan.itinerary.with_run({"encoders": (True, False)})), folder)
-    program = compiled("gcc", "-O0", folder=folder, out="replay", sources=[*SOURCES, "main_replay.c"])
+def test_an_export_ignores_the_angle_of_an_arm_without_an_encoder(exported_law: Callable[..., Path]) -> None:
+    folder = exported_law("outer-turn", "adaptive", "double", encoders=(True, False))
+    program = compiled("gcc", "-O0", folder=folder, out="replay", sources=REPLAY)
     head, *rows = (line.split(",") for line in (folder / "readings.csv").read_text().splitlines())
     assert {row[1] for row in rows} == {"nan"}
     (folder / "nonsense.csv").write_text(
