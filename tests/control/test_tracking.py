@@ -3,9 +3,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.ekf import FilterEquations
 from dpcontrol.control.interface import SampledModel
-from dpcontrol.control.tick import TickEquations
 from dpcontrol.control.tracking import (
     PhaseController,
     TrackingController,
@@ -84,19 +82,3 @@ def test_by_phase_the_clock_is_estimated(reference: Reference, model: SampledMod
     assert session.resynchronise(10, reference.state(0.3)) == "clock of the reference moved by +140 ticks"
     assert np.abs(session.command(10, reference.state(0.3), np.zeros(0)).feedback) < 1e-6
     assert controller.join(5, reference.state(0.3)).command(5, reference.state(0.3), np.zeros(0)).feedback < 1e-6
-
-
-def test_the_loops_rows_equal_the_actions_of_a_session_several_ticks_ahead(
-    reference: Reference, model: SampledModel
-) -> None:
-    controller = tracking_controller(reference, model, TvlqrSettings())
-    assert isinstance(controller, TrackingController)
-    where = TickEquations(FilterEquations(model.equations, model.period, ()), 2, 2).row.slices
-    schedule, session, last = controller.schedule(2), controller.join(0, controller.first_state), controller.ticks
-    assert schedule.queued == pytest.approx(controller.feedforward[:2])
-    for k in (0, 1, 700, last - 2, last - 1, last):
-        row, state = schedule.rows[k], controller.reference_states[k] + 0.01
-        action = session.command(k + 2, state, np.zeros(0))
-        assert float(row[where.feedforward][0]) == action.feedforward
-        assert float(row[where.gains] @ (row[where.state] - state)) == pytest.approx(action.feedback, rel=1e-9)
-        assert row[where.wanted] == pytest.approx(controller.reference_states[k, :2])

@@ -50,15 +50,13 @@ def test_higher_swings_and_stronger_drives_give_more_information(design: Design)
     assert high.information > low.information
     drives = {(e.amplitude, e.frequency): e.information for e in design.experiments if e.kind == "cart"}
     assert all(drives[2.0, f] > drives[1.0, f] for f in QUICK.frequencies)
+    # A pair gives more than either of its experiments.
+    first, second = design.best_pair()
+    assert digits(first.matrix + second.matrix) > max(first.information, second.information)
+    assert all(e.information <= first.information for e in design.ranked())
 
 
 def test_swings_that_magnify_errors_and_drives_beyond_the_track_are_not_usable(design: Design) -> None:
     assert any(not e.usable and e.amplification > 20 for e in design.experiments)
     short = design_experiments(LAB, settings=replace(QUICK, track=0.02))
     assert not any(e.usable for e in short.experiments if e.kind == "cart" and e.frequency < 1)
-
-
-def test_a_pair_gives_more_information_than_either_experiment(design: Design) -> None:
-    first, second = design.best_pair()
-    assert digits(first.matrix + second.matrix) > max(first.information, second.information)
-    assert all(e.information <= first.information for e in design.ranked())

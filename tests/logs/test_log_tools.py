@@ -7,29 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import METADATA, RATE, sample, write_sample
+from log_samples import RATE, sample, write_sample
 from mcap_ros2.reader import read_ros2_messages
 
 from dpcontrol.logs import LogWriter, compare_messages, read_log, recover
 
-TICKS = 60
 RERUN = Path(sys.executable).parent / "rerun"
-
-
-def write_parts(path: Path, *, arms: int, has_cart: bool, parts: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Write a log of random numbers with these parts; return them."""
-    run = sample(TICKS, arms=arms, has_cart=has_cart)
-    rates = np.random.default_rng(1).standard_normal(run.measured.shape)
-    rows = {"measured": run.measured} | {p: rates if p == "rates" else getattr(run, p) for p in parts}
-    with LogWriter(path, arm_lengths=run.arm_lengths, rate_hz=RATE, has_cart=has_cart) as log:
-        log.ticks(run.time, **rows)
-    return rows
 
 
 def test_a_summary_counts_every_message(tmp_path: Path) -> None:
     path = write_sample(tmp_path / "run.mcap", sample(250))
     summary = read_log(path)
-    document = summary.document()
     counts: dict[str, int] = {}
     for message in read_ros2_messages(str(path)):
         counts[message.channel.topic] = counts.get(message.channel.topic, 0) + 1
@@ -37,11 +25,6 @@ def test_a_summary_counts_every_message(tmp_path: Path) -> None:
     rates = {t.topic: t.rate_hz for t in summary.topics}
     assert rates["/joint_states"] == pytest.approx(RATE)
     assert rates["/tf"] == pytest.approx(50)
-    assert document["duration"] == pytest.approx(0.249)
-    assert document["size"] == path.stat().st_size
-    assert METADATA.items() <= document["metadata"].items()
-    assert document["attachments"] == {"scene.toml": 12, "reference.npz": 256}
-    assert document["partials"] == []
 
 
 def test_a_frame_has_a_column_for_each_number_and_a_row_for_each_tick(tmp_path: Path) -> None:
@@ -81,7 +64,9 @@ def test_equal_runs_compare_equal_and_one_changed_bit_is_named(tmp_path: Path) -
 def test_rerun_finds_nothing_to_complain_about(tmp_path: Path, kind: str) -> None:
     path = write_sample(tmp_path / "run.mcap", sample(250))
     if kind == "recording":
-        write_parts(path, arms=2, has_cart=False, parts=("rates",))
+        run = sample(60, has_cart=False)
+        with LogWriter(path, arm_lengths=run.arm_lengths, rate_hz=RATE, has_cart=False) as log:
+            log.ticks(run.time, measured=run.measured, rates=run.measured[::-1])
     if kind == "recovered":
         (tmp_path / "cut.mcap").write_bytes(path.read_bytes()[:80_000])
         path = recover(tmp_path / "cut.mcap").log

@@ -57,15 +57,3 @@ def test_the_scale_reads_the_motor_or_the_cart_and_the_truth_is_the_cart(scale: 
         assert reading.positions[2] == pytest.approx(place, abs=1e-6)
         apart = max(apart, abs(rig.state[6] - rig.truth[4]))
     assert apart > 1e-3
-
-
-def test_an_encoder_with_play_is_behind_its_joint_by_half_of_it_on_either_side() -> None:
-    settings = BenchSettings(mechanics=MechanicsSettings(play=0.02))
-    draw = draw_bench(LAB, settings, seed=1, ticks=1500, period=1e-3)
-    rig = SimulatedRig(draw, settings, limits=LIMITS, start=np.array([0.3, 0.3, 0, 0, 0, 0]))
-    apart = []
-    for _ in range(1400):
-        reading = rig.read()
-        rig.command(0.0)
-        apart.append(rig.truth[0] - reading.positions[0])
-    assert np.ptp(apart) == pytest.approx(0.02, abs=4e-4)

@@ -73,18 +73,6 @@ def test_a_command_acts_after_its_delay_to_the_fraction_of_a_period(delay: float
         before = rig.truth[5]
 
 
-def test_a_lagging_drive_answers_a_step_by_the_exact_exponential() -> None:
-    lag = 0.005
-    rig = rig_of(BenchSettings(drive=DriveSettings(delay=0.0, lag=lag)))
-    rig.read()
-    for k in range(1, 40):
-        rig.command(10.0)
-        rig.read()
-        t = k * PERIOD
-        assert rig.truth[5] == pytest.approx(-0.3 + 10 * (t - lag * (1 - math.exp(-t / lag))), abs=1e-11)
-        assert rig.state[6] == pytest.approx(10 * (1 - math.exp(-t / lag)), abs=1e-11)
-
-
 def test_the_cart_stops_at_the_end_of_its_track_and_the_bench_reports_it() -> None:
     settings = BenchSettings(drive=DriveSettings(delay=0.0, switch_margin=0.05))
     start = np.array([0.3, -0.4, 1.0, 2.0, 0.3, 1.5])

@@ -9,11 +9,8 @@ from shadowing_stand_in import LAB, StandIn, orbit_stretch
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.find import find_reference, split_mesh
-from dpcontrol.references.method import radau
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import error_between_nodes, first_trajectory
-from dpcontrol.references.transcription import solve
 
 TOLERANCE = 1e-6  # Required error between nodes, scaled.
 LIMIT = 1e-9  # Allowed violation of a limit.
@@ -92,21 +89,6 @@ def test_an_active_limit_holds_between_the_nodes(name: str) -> None:
     curve = {"position": states[:, 4], "velocity": states[:, 5], "acceleration": held.input(times)[:, 0]}[name]
     assert np.abs(curve).max() <= bound + LIMIT
     assert np.abs(curve).max() > 0.95 * bound
-
-
-def test_a_coarse_mesh_has_errors_between_nodes_despite_exact_nodes() -> None:
-    problem, method = stretch_problem(), radau(5)
-    errors = {}
-    for intervals in (5, 10, 20):
-        first = first_trajectory(problem, method, np.linspace(0.0, problem.duration, intervals + 1))
-        solved = solve(problem, first, settings=ReferenceSettings(), limits=problem.limits)
-        assert solved.succeeded
-        assert solved.violation < 1e-9
-        errors[intervals] = error_between_nodes(problem, solved.trajectory).max()
-    assert errors[5] > 100 * TOLERANCE
-    # The order is at least five, a factor of 32 per halving. Coarse meshes are not yet asymptotic.
-    assert errors[5] / errors[10] > 10
-    assert errors[10] / errors[20] > 20
 
 
 def test_refinement_splits_until_the_tolerance_holds() -> None:
