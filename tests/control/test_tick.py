@@ -32,15 +32,7 @@ PLAIN = EkfSettings(augment=(), cart_noise=1e-3)
 class Ticked:
     """A program of one run with prescribed commands and readings."""
 
-    def __init__(
-        self,
-        delay: float = 1.0,
-        limits: Limits = WIDE,
-        *,
-        state: np.ndarray = HANGING,
-        estimator: EkfSettings = PLAIN,
-        **bounds: float,
-    ) -> None:
+    def __init__(self, delay: float = 1.0, limits: Limits = WIDE, *, state=HANGING, estimator=PLAIN, **bounds) -> None:
         known = {
             "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": 1e9, "reaction": 2e-3,
             "onset": 2e-3, "brake": limits.acceleration, "margin": 0.0, "lost_tracking": 1e9, "lost_estimate": 1e12,
@@ -54,24 +46,15 @@ class Ticked:
     def begin(self, queued: np.ndarray, velocity: float = 0.0) -> None:
         self.program.begin(self.state, queued[:, None], velocity=velocity)
 
-    def __call__(
-        self,
-        command: float,
-        *,
-        positions: np.ndarray | None = None,
-        present: np.ndarray | None = None,
-        wanted: np.ndarray | None = None,
-        gains: np.ndarray | None = None,
-        due: np.ndarray | None = None,
-    ) -> dict[str, float]:
-        program, row = self.program, self.program.equations.row.of(self.program.row)
+    def __call__(self, command: float, *, positions=None, present=None, **row: np.ndarray) -> dict[str, float]:
+        """Run a tick with readings of the state by default, and further parts of the row of gains."""
+        program = self.program
         measured = self.state[MODEL.position_indices] if positions is None else positions
         program.take(measured[:, None], present, 0, None)
         program.row[:] = 0.0
-        row.feedforward[:] = command
-        row.wanted[:] = (self.state[:2] if wanted is None else wanted)[:, None]
-        if gains is not None and due is not None:
-            row.gains[:], row.state[:] = gains[:, None], due[:, None]
+        parts = program.equations.row.of(program.row)
+        for name, value in {"feedforward": np.array([command]), "wanted": self.state[:2], **row}.items():
+            getattr(parts, name)[:] = value[:, None]
         program.tick()
         return {name: part.item(0) for name, part in program.report._asdict().items() if part.size}
 
@@ -174,7 +157,7 @@ def test_the_law_answers_for_the_state_that_is_expected_when_the_command_acts(de
     queued = np.array([3.0, -2.0, 1.0])[: tick.program.lead]
     tick.begin(queued)
     gains, due = np.array([10.0, -3.0, 2.0, 1.0, 5.0, 4.0]), np.array([0.5, 0.0, 0.0, 0.0, 0.1, 0.0])
-    report = tick(1.5, gains=gains, due=due)
+    report = tick(1.5, gains=gains, state=due)
     ahead = tick.told("state")
     for command in queued:
         ahead = MODEL.step(ahead, float(command))

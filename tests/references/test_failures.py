@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shadowing_stand_in import DOWN_UP_LOW, LAB, OUTER_TURN_LOW, StandIn, orbit_stretch, stitched
+from shadowing_stand_in import LAB, orbit_stretch
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.causes import ObstacleCause, ReferenceCause
@@ -22,20 +22,6 @@ QUICK = ReferenceSettings(method="radau-7", interval=0.05, iterations=60)
 def problem_of(guess: Guess, duration: float, *, friction: float = 1.0, limits: Limits | None = None):
     arms = replace(LAB, viscous=tuple(friction * k for k in LAB.viscous))
     return ReferenceProblem(EQUATIONS, arms.base(), guess, duration, limits or Limits())
-
-
-def straight(orbit: StandIn) -> Guess:
-    """Return the line from the first to the last state of an orbit."""
-    first, last = orbit.guess(np.array([0.0, orbit.duration]))
-    return lambda times: first + (last - first) * np.asarray(times)[:, None] / orbit.duration
-
-
-@pytest.mark.slow
-def test_a_straight_line_is_not_accepted_as_an_itinerary() -> None:
-    orbit = stitched(OUTER_TURN_LOW, DOWN_UP_LOW, DOWN_UP_LOW, wraps=1)
-    found = find_reference(problem_of(straight(orbit), orbit.duration), QUICK)
-    assert not found.converged
-    assert found.ending.cause in (ReferenceCause.SOLVER, ReferenceCause.OTHER_MOTION)
 
 
 def test_a_converged_solution_with_another_motion_is_refused() -> None:

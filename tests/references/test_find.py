@@ -47,9 +47,7 @@ def test_error_between_nodes_agrees_with_an_independent_integrator(tracked: tupl
     assert max(worst, reference.max_error_between_nodes) <= TOLERANCE
 
 
-def test_a_reference_starts_and_ends_on_the_orbit_with_the_cart_at_rest(
-    tracked: tuple[StandIn, Reference],
-) -> None:
+def test_a_reference_starts_and_ends_on_the_orbit_with_the_cart_at_rest(tracked: tuple[StandIn, Reference]) -> None:
     orbit, reference = tracked
     for time in (0.0, orbit.duration):
         assert reference.state(time) == pytest.approx([*orbit.guess(time), 0.0, 0.0], abs=EXACT)
