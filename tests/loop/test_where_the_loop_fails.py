@@ -1,16 +1,19 @@
-"""Failures of the loop: every run ends with a name and a useful reason, the cart inside its limits, the log complete.
+"""Failures of the loop: every run ends with a name and a true reason, the cart inside its limits, the log complete.
 
 The cart is watched for a second after the run as well, on a track without hard stops that would keep it.
 """
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
+from ending_truth import Flight, class_of, flights, untrue, untrue_score
 from kept_rows import Kept
 from shadowing_stand_in import LAB
 
+import dpcontrol as dp
 from dpcontrol.control.interface import Mode
 from dpcontrol.control.tracking import TrackingController
 from dpcontrol.loop.assembly import Assembly
@@ -18,7 +21,9 @@ from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, SensorSetti
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings
 from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.plans.plan import Plan
 from dpcontrol.references.reference import Reference
+from dpcontrol.runs.closed_loop import ClosedLoop
 
 AFTER = 1000  # Ticks for which the bench goes on when the loop has ended.
 TRACK = 10.0  # m: the hard stops are far away, so that it is the loop that keeps the cart inside its limits.
@@ -141,3 +146,81 @@ def test_the_cart_stays_inside_its_limits_in_all_failures(reference: Reference, 
             check(run, run.record.ending, "at t = ")
         if math.isinf(settings.sensors.stuck_at):
             assert "stuck" not in run.record.reason, seed
+
+
+BENCH = {"initial_error": 0.05, "command_noise": 0.3, "controller": "tvlqr"}
+
+
+def flown(plan: Plan, *, seed: int = 0, **options: Any) -> Flight:
+    (flight,) = flights(plan.itinerary.with_run({**{**BENCH, **options}}), plan.reference, [seed])
+    return flight
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        ({"travel": 0.05, "mismatch": 0.1}, "cart at its stop"),
+        ({"pushes": 3, "push_impulse": 0.03, "travel": 2.0, "seed": 3}, "tracking lost"),
+        ({"stuck_at": 1.0, "stuck_sensor": 0}, "sensor stuck"),
+        ({"stuck_at": 1.0, "stuck_sensor": 1}, "sensor stuck"),
+        ({"stuck_at": 1.0, "stuck_sensor": 2}, "sensor stuck"),
+        ({"dropout": 0.99}, "no measurement"),
+    ],
+)
+def test_the_reason_of_an_ending_is_true(plan: Plan, options: dict[str, Any], kind: str) -> None:
+    flight = flown(plan, **options)
+    assert class_of(flight) == kind, flight.run.reason
+    assert untrue(flight) == untrue_score(flight) == ""
+
+
+def test_a_lost_estimate_is_one_that_was_wrong(plan: Plan) -> None:
+    scene = plan.itinerary.with_run({**BENCH, "mismatch": 0.8, "lag": 0.03, "travel": 10.0})
+    # A filter that knows nothing of its model's errors.
+    strict = replace(scene.loop.estimator, augment=("zeros",), parameter_error=0.0, rate_noise=1e-5, cart_noise=1e-3)
+    found = flights(replace(scene, loop=replace(scene.loop, estimator=strict)), plan.reference, range(8))
+    lost = [flight for flight in found if flight.run.ending is Ending.ESTIMATE_LOST]
+    assert lost
+    assert [untrue(flight) for flight in lost] == [""] * len(lost)
+
+
+def test_a_limit_switch_is_at_its_nominal_place(plan: Plan) -> None:
+    scene = plan.itinerary.with_run({**BENCH, "mismatch": 0.1})
+    short = replace(scene.loop, drive=replace(scene.loop.drive, track=0.02))
+    (flight,) = flights(replace(scene, loop=short), plan.reference, range(1))
+    assert class_of(flight) == "limit switch"
+    assert untrue(flight) == ""
+    assert np.abs(flight.run.truth[:, -2]).max() == pytest.approx(0.02, abs=1e-6)
+
+
+SOON = 0.05
+"""Longest time from visible commanded motion to the end of the run, s."""
+MOVED = 5e-3
+"""Commanded motion of a resting cart that must show, m: less can be noise if the commands stay below 1 m/s²."""
+ITINERARY = "turn-from-rest"
+ERROR = 0.05
+"""Initial error of simulated arms, rad, so that the commands begin at once."""
+
+
+@pytest.fixture(scope="module")
+def loop() -> ClosedLoop:
+    return dp.closed_loop(ITINERARY, initial_error=ERROR)
+
+
+def ended_soon(result: LoopResult, *, fails: float = 0.0) -> bool:
+    """Return true if the run ended soon after its commands demanded a visible motion of a resting cart."""
+    assert result.ending is Ending.DRIVE_FAILED, result.reason
+    times, applied, mode = result.ticks.times, result.ticks.control[:, 3], result.ticks.control[:, 6]
+    moved = np.abs(np.cumsum(np.cumsum(np.where(times >= fails, applied, 0.0))) * (times[1] - times[0]) ** 2)
+    due = times[moved >= MOVED]
+    return not due.size or times[np.argmax(mode == Mode.ABORTED)] <= due[0] + SOON
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("failure", ["off", "reversed"])
+@pytest.mark.parametrize("fails", [0.0, 1.0, 1.3])
+def test_a_simulated_drive_that_fails_ends_the_run_soon(loop: ClosedLoop, failure: str, fails: float) -> None:
+    settings = loop.assembly.settings
+    drive = replace(settings.drive, failed_at=fails, failure=failure)
+    faulty = loop.assembly.under(replace(settings, drive=drive))
+    for seed in range(2):
+        assert ended_soon(faulty.simulate(draw=faulty.draw(seed=seed)), fails=fails)
