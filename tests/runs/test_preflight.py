@@ -15,16 +15,21 @@ from dpcontrol.foundation.statistics import wilson
 from dpcontrol.judge.preflight import HazardBorder, Improvement, Preflight
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.pages.layout import save_figure
-from dpcontrol.plans.plan import Plan
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.overrides import typed
+from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.runs import preflight as module
 from dpcontrol.runs.campaign import CampaignSettings, Job, cases_of, run_campaign
 from dpcontrol.runs.preflight import (
     ASSUMED_MISMATCH,
     PreflightSettings,
     SettingChange,
+    changes,
     preflight,
     with_known_errors,
 )
+from dpcontrol.runs.remedies import Why
+from dpcontrol.runs.run import Run, run_plan
 
 HARD = {"mismatch": 0.2, "initial_error": 0.05, "lag": 0.005, "command_noise": 0.3, "controller": "tvlqr"}
 """Bench on which some runs fail and some do not."""
@@ -165,3 +170,44 @@ def test_a_gain_and_its_error_weigh_both_kinds_of_seeds() -> None:
     assert change.gain == pytest.approx(0.2 * 0.5 - 0.8 / 16)
     up, down = 14 / 28, 5 / 52
     assert change.error**2 == pytest.approx(0.04 * up * (1 - up) / 28 + 0.64 * down * (1 - down) / 52)
+
+
+SHORT = {"controller": "tvlqr", "travel": 0.015, "mismatch": 0.0}
+"""A track that the plan itself nearly fills."""
+
+
+@pytest.fixture(scope="module")
+def short_track() -> Plan:
+    return make_plan(load_itinerary("outer-turn").with_run(SHORT))
+
+
+@pytest.fixture(scope="module")
+def failed(short_track: Plan) -> Run:
+    return run_plan(short_track)
+
+
+@pytest.fixture(scope="module")
+def found(failed: Run) -> Why:
+    return failed.why(workers=1)
+
+
+@pytest.mark.slow
+def test_each_remedy_completes_the_run_and_beats_harmless_changes(short_track: Plan, found: Why, failed: Run) -> None:
+    assert failed.score().completed is False
+    assert found.reason == failed.score().reason
+    named = {change.text: change.options for group in changes(short_track.itinerary) for change in group}
+    assert {trial.change: trial.option for trial in found.trials} == {
+        text: typed(named[text]) for text in (trial.change for trial in found.trials)
+    }
+    assert "--travel 0.03" in found.saves or "--travel 0.0225" in found.saves
+    assert 0 < len(found.saves) < len(found.trials)
+    assert found.unchanged is not None
+    for trial in found.remedies:
+        scene = short_track.itinerary.with_run(named[trial.change])
+        again = run_plan(replace(short_track, itinerary=scene)).score()
+        assert again.completed
+        assert again.reason == trial.verdict
+        # A sign test: of the pairs that differ, nearly all are gained.
+        gained = trial.counts.total - found.unchanged.total
+        assert 2.0 ** (1 - gained) < 0.02
+    assert found.sentence.startswith("completed with `--")
