@@ -1,6 +1,6 @@
 """NIS and NEES of many simulated runs at once: is the filter consistent with what it assumes?"""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -14,8 +14,6 @@ from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.loop.bench import SensorSettings
 
 SHARE = 0.02  # About 95 %; the bar for a nominal plant with the noise that is modelled.
-
-
 Array = NDArray[np.float64]
 
 _SETTLING = 0.2
@@ -35,16 +33,9 @@ class Consistency:
 
 
 def simulated_consistency(
-    ekf: CompiledEkf,
-    *,
-    first: Array,
-    commands: Array,
-    runs: int,
-    seed: int,
-    steps: Array | None = None,
-    process_noise: bool = True,
+    ekf: CompiledEkf, ticks: int, *, runs: int, seed: int, steps: Array | None = None, process_noise: bool = True
 ) -> Consistency:
-    """Run `runs` filters over `commands` (K,) m/s² from `first` (N,), with truths drawn from what the filter assumes.
+    """Run `runs` filters over a swing of a moving cart, with truths drawn from what the filter assumes.
 
     The truth obeys the filter's own equations, its process noise and its prior, so only linearisation, and optional
     rounding to encoder counts, violates the filter's assumptions. A truth without process noise would not do: the
@@ -56,7 +47,7 @@ def simulated_consistency(
     rad and m: then readings are rounded to them.
     Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.2.
     """
-    random = np.random.default_rng(seed)
+    random, first, commands = np.random.default_rng(seed), np.array(SWING), 0.5 * np.sin(2.5e-3 * np.arange(ticks))
     equations, size, arms = ekf.equations, ekf.equations.dimension, ekf.model.arms
     sigmas = np.sqrt(ekf.settings.first_covariance(arms).diagonal())
     h, root = equations.observation, np.linalg.cholesky(ekf.noise)
@@ -101,12 +92,8 @@ def simulated_consistency(
                 p = unpacked(memory[size:].T)
                 errors.append(nees((truth - memory[:size]).T, p))
     all_nis, all_nees = np.array(nis), np.array(errors)
-    return Consistency(
-        share_inside(all_nis, arms + 1),
-        share_inside(all_nees, size),
-        float(all_nis.mean()),
-        float(all_nees.mean()),
-    )
+    inside = share_inside(all_nis, arms + 1), share_inside(all_nees, size)
+    return Consistency(*inside, float(all_nis.mean()), float(all_nees.mean()))
 
 
 def test_bands_are_the_published_ones() -> None:
@@ -129,8 +116,7 @@ def test_too_small_counts_as_outside_as_well_as_too_large() -> None:
 @pytest.mark.parametrize("augment", [(), ("friction", "parameters")])
 def test_nis_and_nees_of_a_nominal_plant_lie_in_their_bands(augment: tuple[str, ...]) -> None:
     ekf = CompiledEkf(MODEL, EkfSettings(augment=augment), noise=NOISE)
-    commands = 0.5 * np.sin(2.5e-3 * np.arange(1500))
-    found = simulated_consistency(ekf, first=np.array(SWING), commands=commands, runs=60, seed=8)
+    found = simulated_consistency(ekf, 1500, runs=60, seed=8)
     assert found.nis_inside_95 == pytest.approx(0.95, abs=SHARE)
     assert found.nees_inside_95 == pytest.approx(0.95, abs=SHARE)
     assert found.mean_nis == pytest.approx(3.0, rel=0.02)
@@ -140,21 +126,11 @@ def test_nis_and_nees_of_a_nominal_plant_lie_in_their_bands(augment: tuple[str, 
 @pytest.mark.slow
 def test_noise_covers_the_squares_of_the_parameters_errors() -> None:
     # Parameters with errors of a seventh, as for arms off by ±20 %: only the linearisation is wrong.
-    commands, size = 0.5 * np.sin(2.5e-3 * np.arange(700)), 6 + 4
-    found = {}
+    known, size, means = {**ADAPTIVE, "augment": ("parameters",), "model_error": 0.14, "rate_noise": 2e-4}, 6 + 4, []
     for nonlinearity in (0.0, ADAPTIVE["nonlinearity"]):
-        settings = replace(
-            EkfSettings(**ADAPTIVE),
-            augment=("parameters",),
-            model_error=0.14,
-            nonlinearity=nonlinearity,
-            rate_noise=2e-4,
-        )
-        found[nonlinearity] = simulated_consistency(
-            CompiledEkf(MODEL, settings, noise=NOISE), first=np.array(SWING), commands=commands, runs=24, seed=8,
-            process_noise=False,
-        ).mean_nees  # fmt: skip
-    without, covered = found.values()
+        ekf = CompiledEkf(MODEL, EkfSettings(**{**known, "nonlinearity": nonlinearity}), noise=NOISE)
+        means.append(simulated_consistency(ekf, 700, runs=24, seed=8, process_noise=False).mean_nees)
+    without, covered = means
     assert covered < 1.5 * size < without
 
 
@@ -164,7 +140,6 @@ def test_rounding_to_counts_keeps_the_mean_and_puts_too_many_inside() -> None:
     steps = np.array([2 * np.pi / counts] * 2 + [1e-6])
     noise = SensorSettings(counts=counts).covariance(2)
     ekf = CompiledEkf(MODEL, EkfSettings(augment=()), noise=noise)
-    commands = 0.5 * np.sin(2.5e-3 * np.arange(1000))
-    found = simulated_consistency(ekf, first=np.array(SWING), commands=commands, runs=40, seed=2, steps=steps)
+    found = simulated_consistency(ekf, 1000, runs=40, seed=2, steps=steps)
     assert found.mean_nis == pytest.approx(3.0, rel=0.03)
     assert found.nis_inside_95 > 0.97
