@@ -1,6 +1,8 @@
+"""The unscented filter beside the extended one, and what either estimates besides the state."""
+
 import numpy as np
 import pytest
-from estimator_runs import MODEL, NOISE, SWING, estimated, run
+from estimator_runs import MODEL, NOISE, SWING, Run, estimated, run
 
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
@@ -89,8 +91,7 @@ def test_turns_restarts_and_mistakes_have_the_same_treatment(kind) -> None:
 @pytest.mark.slow
 def test_unobservable_errors_keep_their_uncertainty_at_rest() -> None:
     hanging = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    still = run(2, amplitude=0.0, start=hanging)
-    still.relative[:] = 0.0
+    still = Run(np.zeros(2000), np.zeros((2000, 6)), np.zeros((2000, 3)))
     ekf = CompiledEkf(MODEL, EkfSettings(augment=("disturbance", "parameters")), noise=NOISE)
     last = estimated(ekf, still, start=hanging)[-1]
     known = dict(zip(ekf.extra_names, last.sigmas[6:], strict=True))
