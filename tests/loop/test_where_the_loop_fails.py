@@ -4,6 +4,7 @@ The cart is watched for a second after the run as well, on a track without hard 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +18,7 @@ import dpcontrol as dp
 from dpcontrol.control.interface import Mode
 from dpcontrol.control.tracking import TrackingController
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, SensorSettings, Unlike, draw_bench
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings
 from dpcontrol.loop.simulated import SimulatedRig
@@ -41,32 +42,24 @@ class Ended:
     speed: float
 
 
-def ended(
-    reference: Reference,
-    controller: TrackingController,
-    settings: LoopSettings,
-    *,
-    believed_delay: float | None = None,
-) -> Ended:
-    assembly = Assembly(reference, LAB, settings, law=controller, believed_delay=believed_delay)
-    draw = draw_bench(
-        LAB, settings.bench, seed=settings.seed, ticks=controller.ticks + 1 + AFTER, period=1e-3,
-        unlike=Unlike(settings.mismatch, initial_error=settings.initial_error),
-    )  # fmt: skip
-    log = Kept()
-    loop = assembly.loop(sink=log)
-    rig = SimulatedRig(draw, settings.bench, limits=assembly.limits, start=controller.first_state, queued=loop.queued)
-    record = loop.run(rig)
-    truth = record.ticks.truth
-    assert truth is not None
-    farthest = float(np.abs(truth[:, 4]).max())
-    speed = math.inf
-    for _ in range(AFTER):
-        rig.read()
-        farthest = max(farthest, abs(float(rig.truth[4])))
-        # The least: a knock may come even then.
-        speed = min(speed, abs(float(rig.truth[5])))
-    return Ended(record, log, farthest, speed)
+@pytest.fixture(scope="module")
+def ended(reference: Reference, controller: TrackingController) -> Callable[..., Ended]:
+    def run(settings: LoopSettings, *, believed_delay: float | None = None) -> Ended:
+        log, bench = Kept(), settings.bench
+        assembly = Assembly(reference, LAB, settings, law=controller, believed_delay=believed_delay)
+        draw = settings.draw(LAB, ticks=controller.ticks + 1 + AFTER)
+        loop = assembly.loop(sink=log)
+        rig = SimulatedRig(draw, bench, limits=assembly.limits, start=controller.first_state, queued=loop.queued)
+        record = loop.run(rig)
+        after = []
+        for _ in range(AFTER):
+            rig.read()
+            after.append(np.abs(rig.truth[4:6]))
+        farthest = max(np.abs(record.ticks.truth[:, 4]).max(), np.array(after)[:, 0].max())
+        # The least speed: a knock may come even then.
+        return Ended(record, log, float(farthest), float(np.array(after)[:, 1].min()))
+
+    return run
 
 
 def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> None:
@@ -91,24 +84,22 @@ def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> Non
 @pytest.mark.parametrize(
     ("sensor", "name"), [(0, "the encoder of joint 1"), (1, "the encoder of joint 2"), (2, "the cart's scale")]
 )
-def test_a_stuck_sensor_is_named_before_the_cart_runs_away(
-    reference: Reference, controller: TrackingController, sensor: int, name: str
-) -> None:
+def test_a_stuck_sensor_is_named_before_the_cart_runs_away(ended: Callable[..., Ended], sensor: int, name: str) -> None:
     for at in (0.5, 2.0, 3.7):
         settings = replace(REAL, sensors=SensorSettings(stuck_at=at, stuck_sensor=sensor))
-        run = ended(reference, controller, settings)
+        run = ended(settings)
         check(run, Ending.ESTIMATE_LOST, f"{name} is stuck", limit=0.05)
         assert run.log.whole("times")[-1] < at + 0.6
 
 
-def test_a_restart_and_a_move_of_the_clock_are_events(reference: Reference, controller: TrackingController) -> None:
+def test_a_restart_and_a_move_of_the_clock_are_events(ended: Callable[..., Ended]) -> None:
     nervous = SupervisorSettings(lost_estimate=5.0)
     strict = replace(REAL.estimator, parameter_error=0.0, rate_noise=1e-4)
-    run = ended(reference, controller, replace(REAL, mismatch=0.3, supervisor=nervous, estimator=strict))
+    run = ended(replace(REAL, mismatch=0.3, supervisor=nervous, estimator=strict))
     assert run.log.names.count("restart the estimator") == nervous.restarts
     check(run, Ending.ESTIMATE_LOST, "check the encoders")
     wandering = SupervisorSettings(resynchronise=0.06)
-    moved = ended(reference, controller, replace(REAL, mismatch=0.3, supervisor=wandering))
+    moved = ended(replace(REAL, mismatch=0.3, supervisor=wandering))
     assert "re-synchronise" in moved.log.names
 
 
@@ -136,10 +127,10 @@ def nasty(seed: int) -> tuple[LoopSettings, float]:
 
 
 @pytest.mark.slow
-def test_the_cart_stays_inside_its_limits_in_all_failures(reference: Reference, controller: TrackingController) -> None:
+def test_the_cart_stays_inside_its_limits_in_all_failures(ended: Callable[..., Ended]) -> None:
     for seed in range(24):
         settings, believed = nasty(seed)
-        run = ended(reference, controller, settings, believed_delay=believed)
+        run = ended(settings, believed_delay=believed)
         assert run.farthest <= 0.4, (seed, run.record.reason)
         assert run.speed < AT_REST
         if run.record.ending is not Ending.FINISHED:
