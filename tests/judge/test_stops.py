@@ -51,18 +51,11 @@ def plan(*, directions: tuple[float, float] = (1.0, 1.0), **more):
     lifts = np.cumsum([0.0, *directions]) * TURN
     gap = (SECOND - FIRST) / PERIOD - WRAPS
     assert 0 <= gap < 1
-    symbols = tuple(
-        PlanSymbol(
-            text="down-up",
-            source="down-up",
-            target="down-up",
-            winding=(0, 1),
-            time=at,
-            section=PlanSection((0.0, 1.0, 0.0, 0.0), middle, (float(wobble(np.array(at))), middle)),
-            phase_out=gap % 1.0,
-        )
-        for at, middle in zip((FIRST, SECOND), np.pi + (lifts[:-1] + lifts[1:]) / 2, strict=True)
-    )
+    symbols = []
+    for at, middle in zip((FIRST, SECOND), np.pi + (lifts[:-1] + lifts[1:]) / 2, strict=True):
+        section = PlanSection((0.0, 1.0, 0.0, 0.0), middle, (float(wobble(np.array(at))), middle))
+        where = {"source": "down-up", "target": "down-up", "winding": (0, 1), "phase_out": gap % 1.0}
+        symbols.append(PlanSymbol(text="down-up", time=at, section=section, **where))
     content = PlanContent(
         itinerary="turns",
         title="Two turns",
@@ -70,7 +63,7 @@ def plan(*, directions: tuple[float, float] = (1.0, 1.0), **more):
         shadowing=Shadowing(),
         origin=Origin("", "", "", "", "", load_model("lab").arms),
         stops=tuple(PlanStop("down-up", (0.0, np.pi + lift), 0) for lift in lifts),
-        symbols=symbols,
+        symbols=tuple(symbols),
         wraps=(WRAPS,),
         orbits=(ORBIT,),
         saddles={"down-up": PlanSaddle((0.0, np.pi), 0.0), "up-down": PlanSaddle((np.pi, 0.0), 1.0)},
