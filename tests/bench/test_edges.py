@@ -20,8 +20,8 @@ from dpcontrol.plans.model import load_model
 BORDER = 0.37
 
 
-def below(border: float = BORDER, says: str = "too much"):
-    return lambda y: Attempt(y < border, says)
+def below(border: float = BORDER):
+    return lambda y: Attempt(y < border, "too much")
 
 
 def one_map(*borders: Border, **more) -> EdgeMap:

@@ -62,14 +62,10 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def begun(
-    program: Path, port: int, *arguments: str | Path, key: bytes = b"", host: str = "127.0.0.1"
-) -> Iterator[subprocess.Popen[str]]:
-    environment = {**os.environ, KEY_VARIABLE: key.hex()} if key else None
-    with subprocess.Popen(
-        [program, f"udp://{host}:{port}", *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True,
-    ) as process:  # fmt: skip
+def begun(program: Path, port: int, *, key: bytes = b"") -> Iterator[subprocess.Popen[str]]:
+    how = {"env": {**os.environ, KEY_VARIABLE: key.hex()} if key else None, "text": True}
+    command = [program, f"udp://127.0.0.1:{port}"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **how) as process:
         try:
             yield process
         finally:
