@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.interface import SampledModel
@@ -8,17 +7,10 @@ from dpcontrol.control.tracking import (
     PhaseController,
     TrackingController,
     TvlqrSettings,
-    terminal_cost,
     tracking_controller,
 )
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.reference import Reference
-
-SOLVED = 1e-7  # Relative, of Riccati solvers on well-scaled matrices.
-A = np.array([[1.0, 0.1, 0.0], [0.3, 1.02, 0.1], [0.0, 0.05, 0.9]])
-B = np.array([0.0, 0.1, 0.05])
-WEIGHTS = np.array([1.0, 0.5, 2.0])
-EFFORT = 0.3
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +21,6 @@ def model() -> SampledModel:
 def asked(controller: TrackingController, tick: int, state: np.ndarray) -> tuple[float, float]:
     action = controller.join(0, state).command(tick, state, np.zeros(0))
     return action.feedforward, action.feedback
-
-
-def test_terminal_cost_solves_the_discrete_algebraic_riccati_equation() -> None:
-    expected = solve_discrete_are(A, B[:, None], np.diag(WEIGHTS), np.array([[EFFORT]]))
-    cost = terminal_cost(A, B, weights=np.diag(WEIGHTS), effort=EFFORT)
-    assert cost == pytest.approx(expected, rel=SOLVED)
 
 
 def test_feedback_is_zero_on_the_reference_and_pulls_back_beside_it(reference: Reference, model: SampledModel) -> None:

@@ -11,7 +11,7 @@ from dpcontrol.logs import Event
 from dpcontrol.logs.layout import control_fields
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Ending, LoopSink, SinkBeside
+from dpcontrol.loop.result import Ending, LoopResult, LoopSink, SinkBeside
 from dpcontrol.references.reference import Reference
 
 COUNT = 2 * np.pi / 40_000
@@ -50,35 +50,22 @@ def test_truth_between_ticks_is_the_mismatched_plant_under_the_applied_command(
     assert result.ticks.truth[1] != pytest.approx(own, abs=1e-6)
 
 
-def test_the_sink_sees_every_tick_and_the_ending(reference: Reference, controller: TrackingController) -> None:
-    kept, heard = Kept(), []
-    result = Assembly(reference, LAB, REAL, law=controller).simulate(
-        sink=kept, progress=lambda what, done: heard.append((what, done))
-    )
-    for name in ("times", "truth", "estimates", "control"):
-        assert (kept.whole(name) == getattr(result.ticks, name)).all()
-    assert max(len(block.times) for block in kept.blocks) <= 0.2 * REAL.rate
-    assert kept.whole("times")[-1] == pytest.approx(reference.duration, abs=1e-3)
-    assert kept.kept[0].name == "start"
-    assert kept.kept[-1] == result.end
-    assert heard[-1] == ("run", 1.0)
-    assert all(0 <= done <= 1 for _, done in heard)
-    assert np.isfinite(result.ticks.control).all()
-
-
-def test_a_sink_beside_the_loop_sees_the_same_and_what_fails_there_ends_the_run(
+def test_sinks_see_every_tick_and_what_fails_beside_the_loop_ends_the_run(
     reference: Reference, controller: TrackingController
 ) -> None:
-    def run(sink: LoopSink) -> None:
-        Assembly(reference, LAB, REAL, law=controller).simulate(sink=sink)
+    def run(sink: LoopSink) -> LoopResult:
+        return Assembly(reference, LAB, REAL, law=controller).simulate(sink=sink)
 
     here, there = Kept(), Kept()
-    run(here)
+    result = run(here)
     with SinkBeside(there) as beside:
         run(beside)
     for name in ("times", "truth", "estimates", "control"):
+        assert (here.whole(name) == getattr(result.ticks, name)).all()
         assert (here.whole(name) == there.whole(name)).all()
     assert here.kept == there.kept
+    assert here.kept[-1] == result.end
+    assert max(len(block.times) for block in here.blocks) <= 0.2 * REAL.rate
 
     class Fails(Kept):
         def event(self, event: Event) -> None:
