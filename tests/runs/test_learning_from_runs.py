@@ -26,23 +26,19 @@ AUGMENT = (Augment.FRICTION, Augment.DRY, Augment.PARAMETERS)
 def errors_between(model: ArmChainParameters, plant: ArmChainParameters) -> tuple[list[str], np.ndarray]:
     """Return the filter's names and errors for a plant, by their definition in `estimator_settings`."""
     n, names = model.count, list(extra_names(model.count, AUGMENT))
-    triangle = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)]
-    base = [
-        dict(zip([*triangle, *(f"G{i}" for i in range(1, n + 1))], arms.base(), strict=False))
-        for arms in (model, plant)
-    ]
-    unit = [one["M12"] for one in base]
+    keys = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)] + [f"G{i}" for i in range(1, n + 1)]
+    # Over M12, since only ratios matter.
+    own, other = (dict(zip(keys, arms.base() / arms.base()[1], strict=False)) for arms in (model, plant))
+    units = model.base()[1], plant.base()[1]
     errors = []
     for name in names:
         kind, _, arm = name.partition("_")
         if kind == "friction":
-            errors.append(plant.viscous[int(arm) - 1] / unit[1] / (model.viscous[int(arm) - 1] / unit[0]) - 1)
+            errors.append(plant.viscous[int(arm) - 1] / units[1] / (model.viscous[int(arm) - 1] / units[0]) - 1)
         elif kind == "dry":
-            torque = plant.coulomb[int(arm) - 1] if plant.coulomb else 0.0
-            errors.append(torque / unit[1] / (base[0][f"G{arm}"] / unit[0]))
+            errors.append(plant.coulomb[int(arm) - 1] / units[1] / own[f"G{arm}"])
         else:
-            key = name.replace("S", "G")
-            errors.append(np.log(base[1][key] / unit[1] / (base[0][key] / unit[0])))
+            errors.append(np.log(other[name.replace("S", "G")] / own[name.replace("S", "G")]))
     return names, np.array(errors)
 
 
