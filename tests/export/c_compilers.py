@@ -73,9 +73,7 @@ class SideBySide:
 
     @property
     def c(self) -> LibraryProgram:
-        program = self.other.program
-        assert isinstance(program, LibraryProgram)
-        return program
+        return self.other.program
 
     def __call__(
         self, positions: np.ndarray, *, present: np.ndarray | None = None, switch: int = 0

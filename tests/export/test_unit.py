@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from library_program import LibraryProgram, library_ticker
+from library_program import library_ticker
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.export import ControllerSource, Unit, controller_source, controller_unit
@@ -150,7 +150,6 @@ def test_its_functions_are_those_of_the_standards_headers(exported: Exported, tm
 def test_on_the_plant_it_is_the_exported_c_to_the_last_bit(exported: Exported, tmp_path: Path) -> None:
     ticker = library_ticker(Assembly(exported.reference, LAB, SETTINGS, law=exported.controller), exported.library)
     program, queued = ticker.program, ticker.queued[:, 0].tolist()
-    assert isinstance(program, LibraryProgram)
     rig = bench(exported, queued)
     with running(exported, tmp_path) as slave:
         assert slave.get("command") == queued[-1]

@@ -73,7 +73,6 @@ def test_the_true_model_follows_to_a_count_and_its_filter_is_consistent(kind: st
     assert all(fit.converged for fit in result.fits)
     assert max(float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits) <= NEAR_COUNT * COUNT
     assert result.nis_inside_95 >= IN_BAND
-    assert result.rates_rms is not None
     assert result.rates_rms.max() <= RATES / 3
     assert max(result.ahead[1]) <= COUNT
     # After a tenth of a second, errors of rates from means of 15 samples dominate.
@@ -111,7 +110,6 @@ def test_filters_are_consistent_and_estimate_rates_on_the_rigs_recording(kind: s
     recording, model = import_recording(rig_file()), load_model("lab-identified")
     result = replay_recording(recording, model.arms, filter_settings(kind), zeros=model.encoder_zeros)
     assert result.nis_inside_95 >= IN_BAND
-    assert result.rates_rms is not None
     assert result.rates_rms.max() <= RATES
     left = [float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits]
     assert all(fit.converged for fit in result.fits)
@@ -186,7 +184,6 @@ def test_without_a_matching_command_the_carts_position_is_the_input(
 def test_a_command_alone_moves_the_cart(driven: tuple[Array, Array]) -> None:
     recording = replace(on_a_cart(driven, command=told(driven[0])), cart=None)
     motion = cart_motion(recording)
-    assert motion is not None
     assert motion.commanded
     assert np.abs(np.diff(motion.velocity) - np.diff(driven[1][:, 5])).max() <= 1e-6
 
@@ -209,12 +206,10 @@ def test_the_log_has_the_carts_predicted_and_estimated_motion(driven: tuple[Arra
     log = read_log(write_replay(result, tmp_path / "replay.mcap", model="lab", model_text="title"))
     assert log.has_cart
     assert np.array_equal(log.reference[:, :4], result.predicted)
-    assert recording.cart is not None
     assert np.array_equal(log.reference[:, 4], recording.cart)
     assert np.array_equal(log.controls["applied"], result.carts[0].acceleration)
     assert "median rms" in log.metadata["summary"]
     again = load_recording(tmp_path / "replay.mcap")
     for one, other in ((again.cart, recording.cart), (again.command, recording.command)):
         assert one is not None
-        assert other is not None
         assert np.array_equal(one, other)

@@ -58,7 +58,6 @@ def is_part_of(found: RunLog, log: RunLog) -> None:
     assert (np.diff(places) > 0).all()
     np.testing.assert_array_equal(rows_of(found), rows_of(log)[places])
     if found.extras is not None:
-        assert log.extras is not None
         assert found.extras.names == log.extras.names
         places = np.searchsorted(log.extras.time, found.extras.time)
         for part in ("time", "values", "sigmas"):

@@ -194,7 +194,6 @@ def test_the_nearest_orbit_is_held_to_the_end_of_the_run(tmp_path: Path) -> None
     assert log.metadata["ending"] == Ending.FELL_BACK.value
     assert any(event.text.startswith("holds the orbit about down-up") for event in log.events)
     plan = plan_of(log)
-    assert log.truth is not None
     assert log.time[-1] >= plan.duration - 1e-3
     assert np.abs(log.truth[:, 4]).max() < TRAVEL
     angles = log.truth[log.time > log.time[-1] - plan.content.orbits[0].period, :2]
@@ -208,7 +207,6 @@ def test_the_orbits_and_equilibria_of_a_reference_and_hanging_still_are_candidat
     itinerary = load_itinerary(name).with_run({"hold": "nearest"})
     reference = make_plan(itinerary).reference
     fallback = Assembly(reference, itinerary.model.arms, itinerary.loop).fallback
-    assert fallback is not None
     assert fallback.session(0, reference.state(0.0))[1].startswith(f"holds {own}")
     hanging = np.array([2 * np.pi, 0.02, 0.0, 0.0, 0.1, 0.0])
     assert fallback.session(0, hanging)[1].startswith("holds down-down, 0.0064")

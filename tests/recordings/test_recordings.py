@@ -30,7 +30,6 @@ def test_the_rigs_file_is_imported_with_hanging_as_zero() -> None:
     rates = np.concatenate([cell[2:].T for cell in given["Y_id"][:, 0]])
     times = np.concatenate([cell[:, 0] for cell in given["Time_id"][:, 0]])
     assert np.array_equal(recording.angles, angles - np.pi)
-    assert recording.rates is not None
     assert np.array_equal(recording.rates, rates)
     assert np.array_equal(recording.time, times)
     assert recording.dt == 1e-3

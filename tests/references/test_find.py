@@ -133,7 +133,6 @@ def test_continuation_in_friction_gives_the_solution_of_a_cold_start() -> None:
     cold = solve(problem, first, settings=QUICK, limits=problem.limits)
     share, raised = raise_friction(problem, first, settings=QUICK, limits=problem.limits)
     assert share == 1.0
-    assert raised is not None
     assert raised.cost == pytest.approx(cold.cost, rel=1e-6)
     # The arms' own friction costs far less.
     own = find_reference(stretch_problem(), QUICK)
@@ -145,7 +144,6 @@ def test_excessive_friction_is_reported_with_the_share_that_can_be_compensated()
     found = find_reference(stretch_problem(duration=0.75, friction=60.0), QUICK)
     assert not found.converged
     obstacle = found.ending.obstacle
-    assert obstacle
     assert obstacle.cause is ObstacleCause.FRICTION
     share = obstacle.share
     assert 0.1 < share < 0.9
@@ -169,6 +167,5 @@ def test_a_limit_that_is_too_tight_is_reported_with_its_time() -> None:
     free = find_reference(stretch_problem(), QUICK)
     found = find_reference(stretch_problem(Limits(position=1e-5)), QUICK)
     assert not found.converged
-    assert found.ending.obstacle is not None
     (use,) = found.ending.obstacle.uses
     assert abs(free.state(use.time)[4]) == pytest.approx(free.max_cart_position, rel=1e-3)

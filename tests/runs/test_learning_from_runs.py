@@ -132,7 +132,6 @@ def feedback(run: Run) -> float:
 @pytest.mark.slow
 def test_after_one_run_the_plant_is_known_and_feedback_only_works_against_noise(first_run: Run) -> None:
     learnt = first_run.learn()
-    assert first_run.plant is not None
     off = (learnt.values - base_ratios(first_run.plant)) / learnt.errors
     assert np.abs(off).max() < SIGMAS
     loop = replace(learnt.plan.itinerary.loop, plant=first_run.plant, mismatch=0.0)
@@ -149,7 +148,6 @@ def test_friction_of_another_kind_leaves_the_arms_uncertain() -> None:
     run = dp.run("outer-turn", plant="lab-identified", seed=3)
     learnt = run.learn()
     assert caution(run.log) > 1000
-    assert run.plant is not None
     truth = base_ratios(run.plant)[:4]
     assert (np.abs(learnt.values[:4] - truth) / learnt.errors[:4]).max() < SIGMAS
     second = dp.run(learnt.plan, plant="lab-identified", seed=4)

@@ -1,4 +1,4 @@
-"""Arms without an encoder: their angle is ignored whatever a rig sends, and the others suffice for a hold."""
+"""Arms without an encoder, whose angle is ignored whatever a rig sends; readings of unknown and of reported age."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -107,7 +107,6 @@ def deviation(loop: ControlLoop) -> float:
 
 def rate_errors(result: LoopResult) -> float:
     truth = result.ticks.truth
-    assert truth is not None
     return float(np.sqrt(np.mean((result.ticks.estimates - truth)[500:, 2:4] ** 2)))
 
 
