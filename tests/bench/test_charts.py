@@ -197,16 +197,6 @@ def test_differences_need_fine_counts_and_the_filter_does_not():
     assert coarse.others == {}
 
 
-def test_wrong_zeros_are_shown_by_nees_and_mended_by_estimating_them():
-    right = [swing(ARMS, seconds=1.5, seed=1, mismatch=0.0, zero_error=0.0)]
-    wrong = [swing(ARMS, seconds=1.5, seed=1, mismatch=0.0, zero_error=0.02)]
-    assert ekf_trial(right, 40_000).others["nees_inside_95"] > 0.5
-    blind, told = ekf_trial(wrong, 40_000), ekf_trial(wrong, 40_000, ("zeros",))
-    assert blind.others["nees_inside_95"] < WELL_BELOW
-    assert told.others["nees_inside_95"] > 0.5
-    assert told.error < blind.error / 2
-
-
 def run_of(angles: np.ndarray, cause: Cause = Cause.FINISHED) -> BatchRun:
     states = np.column_stack([angles, np.zeros((len(angles), 4))])
     times = np.arange(len(angles)) * 1e-3
