@@ -15,6 +15,9 @@ from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.plans.plan import Plan
 
+# Seconds for generation and compilation of C.
+pytestmark = pytest.mark.slow
+
 SAME = 1e-9  # m/s²: rounding of sines times the law's gains, and interpolation of the tables.
 RUNNING, FINISHED, BRAKING, AT_REST = range(4)
 
@@ -29,7 +32,6 @@ def set_clock(program: LibraryProgram, tick: int) -> None:
     ctypes.c_long.from_address(program.controller_address + place).value = tick
 
 
-@pytest.mark.slow
 def test_nothing_is_allocated_and_no_other_name_is_taken(double: Path) -> None:
     # Data that are relocated on loading would look like a variable.
     options = ["-O0", "-fno-pic", "-fno-pie", "-c"]
@@ -44,7 +46,6 @@ def test_nothing_is_allocated_and_no_other_name_is_taken(double: Path) -> None:
     assert functions <= {"sin", "cos", "sqrt", "atan2", "fabs", "exp", "pow"}
 
 
-@pytest.mark.slow
 def test_a_replayed_run_gets_the_loops_commands(double: Path) -> None:
     folder = double
     program = compiled("gcc", "-O1", folder=folder, out="replay", sources=REPLAY)
@@ -68,8 +69,6 @@ def test_a_replayed_run_gets_the_loops_commands(double: Path) -> None:
     assert ran(program, "other.csv", folder=folder).returncode == 2
 
 
-# Slow: seconds for generation and compilation of C.
-@pytest.mark.slow
 def test_a_law_with_a_known_lag_is_exported_with_it(exported_law: Callable[..., Path]) -> None:
     folder = exported_law("outer-turn", "adaptive", "double", lag=0.02, drive_lag=0.02)
     assert "gains 6, drive 1, drive_gain 1" in (folder / "dpc_tables.h").read_text()
@@ -79,8 +78,6 @@ def test_a_law_with_a_known_lag_is_exported_with_it(exported_law: Callable[..., 
     assert "4877 ticks, commands differ by" in done.stderr
 
 
-# Slow: seconds for generation and compilation of C.
-@pytest.mark.slow
 def test_an_export_ignores_the_angle_of_an_arm_without_an_encoder(exported_law: Callable[..., Path]) -> None:
     folder = exported_law("outer-turn", "adaptive", "double", encoders=(True, False))
     program = compiled("gcc", "-O0", folder=folder, out="replay", sources=REPLAY)
@@ -94,7 +91,6 @@ def test_an_export_ignores_the_angle_of_an_arm_without_an_encoder(exported_law: 
     assert done[0].stdout == done[1].stdout
 
 
-@pytest.mark.slow
 def test_every_number_of_the_report_is_the_loops(plan: Plan, double: Path) -> None:
     both, rows = SideBySide(plan, library(double)), readings(double)[:300, :3]
     for k, positions in enumerate(rows):
@@ -108,7 +104,6 @@ def test_every_number_of_the_report_is_the_loops(plan: Plan, double: Path) -> No
     assert both.c.status == RUNNING
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [2, 3])
 def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, double: Path, sensor: int) -> None:
     loop = plan.itinerary.with_run({"stuck_at": 0.9, "stuck_sensor": sensor - 1}).loop
@@ -123,7 +118,6 @@ def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, double: Pat
     assert decided == [(Outcome.STUCK, Outcome.STUCK, sensor)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("trouble", "outcome"),
     [("switch", Outcome.SWITCH), ("silence", Outcome.SILENT), ("far", Outcome.CART), ("nan", Outcome.SILENT)],
@@ -160,7 +154,6 @@ def test_decisions_of_the_supervisor_bring_the_cart_to_rest(
     assert stopped < len(told) - still
 
 
-@pytest.mark.slow
 def test_after_the_last_tick_the_last_row_keeps_holding(plan: Plan, double: Path) -> None:
     both = SideBySide(plan, library(double), told=False)
     rows = Assembly(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop).controller.schedule(1).rows
@@ -174,7 +167,6 @@ def test_after_the_last_tick_the_last_row_keeps_holding(plan: Plan, double: Path
     assert states == [RUNNING] * 2 + [FINISHED] * 6
 
 
-@pytest.mark.slow
 def test_the_header_gives_the_first_commands_and_the_reference(plan: Plan, double: Path) -> None:
     both = SideBySide(plan, library(double))
     c = ctypes.CDLL(str(library(double)))
