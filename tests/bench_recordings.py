@@ -28,8 +28,8 @@ def rig_file() -> Path:
     return file
 
 
-def textbook_rate(_: float, x: Array, push: float = 0.0) -> Array:
-    """The double pendulum's textbook equations from forces, on a pivot accelerated by `push` m/s²: no Lagrangian."""
+def _rate(_: float, x: Array) -> Array:
+    """The double pendulum's textbook equations from forces, independent of the code's Lagrangian."""
     (m1, m2), (a1, a2), (j1, j2), (k1, k2) = LAB["m"], LAB["a"], LAB["J"], LAB["k"]
     length, g = LAB["l"], LAB["g"]
     q1, q2, w1, w2 = x
@@ -38,9 +38,8 @@ def textbook_rate(_: float, x: Array, push: float = 0.0) -> Array:
                      [coupling * np.cos(q1 - q2), m2 * a2**2 + j2]])  # fmt: skip
     joint = k2 * (w2 - w1)
     force = np.array([
-        -coupling * np.sin(q1 - q2) * w2**2
-        - (m1 * a1 + m2 * length) * (g * np.sin(q1) + push * np.cos(q1)) - k1 * w1 + joint,
-        coupling * np.sin(q1 - q2) * w1**2 - m2 * a2 * (g * np.sin(q2) + push * np.cos(q2)) - joint,
+        -coupling * np.sin(q1 - q2) * w2**2 - (m1 * a1 + m2 * length) * g * np.sin(q1) - k1 * w1 + joint,
+        coupling * np.sin(q1 - q2) * w1**2 - m2 * a2 * g * np.sin(q2) - joint,
     ])  # fmt: skip
     return np.concatenate([[w1, w2], np.linalg.solve(mass, force)])
 
@@ -49,7 +48,7 @@ def textbook_rate(_: float, x: Array, push: float = 0.0) -> Array:
 def free_swing(samples: int, start: tuple[float, ...] = (-0.6, 0.35, 4.0, -3.0)) -> tuple[Array, Array]:
     """Return times (K,) and states (K, 4) of a free swing at 1 kHz, angles from hanging."""
     times = PERIOD * np.arange(samples)
-    solution = solve_ivp(textbook_rate, (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853")
+    solution = solve_ivp(_rate, (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853")
     return times, solution.y.T
 
 
