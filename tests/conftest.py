@@ -152,7 +152,7 @@ def pytest_make_collect_report() -> Iterator[Any]:
 
 LONGEST = (
     "test_proved_connections", "test_readme", "test_true_verdicts", "test_compilers_and_targets", "test_planner_page",
-    "test_api_examples", "test_commissioning", "test_recovery_on_the_bench", "test_legibility", "test_examples",
+    "test_api_examples", "test_commissioning", "test_legibility", "test_examples",
     "test_notebooks", "test_without_heyoka", "test_types", "test_objects", "test_rig_verbs", "test_bifurcations",
     "test_chart_accuracy", "test_generated_scenes", "test_numbers_of_arms", "test_exported_controller",
     "test_batch", "test_fuzz", "test_run_verb", "test_own_systems", "test_figures", "test_extended", "test_walk_verb",
@@ -220,6 +220,12 @@ def plan() -> Plan:
 def turn() -> tuple[StandIn, Reference]:
     """The outer arm's turn at -0.07 J, and its reference."""
     return _tracked(low_turn())
+
+
+@pytest.fixture(scope="session")
+def reference(turn: tuple[StandIn, Reference]) -> Reference:
+    """The reference of the turn."""
+    return turn[1]
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import pytest
 import dpcontrol
 
 ELSEWHERE = {"air_drag", "eddy_brake", "integral_action", "mujoco_rig"}
-"""Examples that tests of their results run: test_symbolic_plant, test_symbolic_law and test_mjcf."""
+"""Examples that tests of their results run: test_symbolic and test_mjcf."""
 EXAMPLES = sorted({file.stem for file in (Path(dpcontrol.__file__).parent / "examples").glob("[a-z]*.py")} - ELSEWHERE)
 NEEDS = {
     "gym_env": "gymnasium",

@@ -29,27 +29,16 @@ class Run:
         return np.array([inner, inner + outer, cart])
 
 
-def run(
-    seconds: float,
-    *,
-    base: np.ndarray | None = None,
-    zeros: tuple[float, float] = (0.0, 0.0),
-    torque: float = 0.0,
-    amplitude: float = 0.5,
-    seed: int = 0,
-    start: tuple[float, ...] = SWING,
-) -> Run:
+def run(seconds: float, *, zeros: tuple[float, float] = (0.0, 0.0), torque: float = 0.0) -> Run:
     """torque: a further acceleration of the outer arm, rad/s², given as steps of its rate."""
-    plant = SampledModel(EQUATIONS, LAB.base() if base is None else base, period=1e-3)
-    random = np.random.default_rng(seed)
     count = round(seconds * 1000)
-    commands = amplitude * np.sin(2.5e-3 * np.arange(count))
-    x = np.array(start, dtype=float)
-    x[:2] += 0.02 * random.uniform(-1, 1, 2)
+    commands = 0.5 * np.sin(2.5e-3 * np.arange(count))
+    x = np.array(SWING)
+    x[:2] += 0.02 * np.random.default_rng(0).uniform(-1, 1, 2)
     states = np.empty((count, 6))
     for k, command in enumerate(commands):
         if k:
-            x = plant.step(x, command)
+            x = MODEL.step(x, command)
             x[3] += torque * 1e-3
         states[k] = x
     inner, outer = states[:, 0] + zeros[0], states[:, 1] + zeros[1]

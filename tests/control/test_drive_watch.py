@@ -1,7 +1,7 @@
 """The watch of the drive, against carts that follow their commands well, badly or not at all."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,17 +22,9 @@ BRAKES, FASTEST = 30.0, 3.0
 """Braking of a drive that is off, m/s², and a bound on the cart's velocity, m/s."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """A cart with an arm, whose drive or scale fails at `fails` s, and that is struck by `knock` m/s at 0.7 s."""
-
-    response: float = 1.0
-    lag: float = 1e-9
-    count: float = 1e-6
-    dropout: float = 0.0
-    knock: float = 0.0
-    fault: str = ""
-    fails: float = np.inf
+WELL = {"response": 1.0, "lag": 1e-9, "count": 1e-6, "dropout": 0.0, "knock": 0.0, "fault": "", "fails": np.inf}
+"""A cart with an arm, whose drive or scale fails at `fails` s, and that is struck by `knock` m/s at 0.7 s."""
+Case = dict[str, Any]
 
 
 def machine(period: float, lanes: int) -> tuple[ca.Function, np.ndarray]:
@@ -62,11 +54,9 @@ def findings(cases: Sequence[Case], command: Callable[[float], float], *, period
     """Return unfollowed, against and doubt of each tick and case (K, 3, S)."""
     step, memory = machine(period, len(cases))
     random, rows = np.random.default_rng(3), []
-    response, lag, count, dropout, knock, fails = (
-        np.array([getattr(case, name) for case in cases])
-        for name in ("response", "lag", "count", "dropout", "knock", "fails")
+    response, lag, count, dropout, knock, fault, fails = (
+        np.array([{**WELL, **case}[name] for case in cases]) for name in WELL
     )
-    fault = np.array([case.fault for case in cases])
     x, v, a, angle, rate, read = np.zeros((6, len(cases)))
     last = np.zeros((2, len(cases)))
     for k in range(round(SECONDS / period)):
@@ -91,27 +81,27 @@ def findings(cases: Sequence[Case], command: Callable[[float], float], *, period
 
 def test_a_cart_that_follows_badly_or_is_struck_still_follows() -> None:
     troubles = [{}, {"response": 0.6}, {"response": 1.5}, {"lag": 0.02}, {"dropout": 0.4}]
-    cases = [Case(count=count, **trouble) for count in (1e-6, 2e-4) for trouble in troubles]
-    cases += [Case(knock=knock) for knock in (-1.0, -0.3, 0.5, 1.0)]
+    cases = [{"count": count, **trouble} for count in (1e-6, 2e-4) for trouble in troubles]
+    cases += [{"knock": knock} for knock in (-1.0, -0.3, 0.5, 1.0)]
     unfollowed = findings(cases, lively)[:, 0].any(axis=0)
     assert not [case for case, failed in zip(cases, unfollowed, strict=True) if failed]
 
 
 @pytest.mark.parametrize("period", [1e-3, 5e-3])
 def test_a_drive_that_fails_is_found_within_50_ms_and_the_arms_blame_it(period: float) -> None:
-    cases = [Case(fault=fault, fails=fails) for fault in ("off", "coasts", "reversed") for fails in FAILS]
+    cases = [{"fault": fault, "fails": fails} for fault in ("off", "coasts", "reversed") for fails in FAILS]
     rows = findings(cases, firm, period=period)
     for lane, case in enumerate(cases):
         first = int(np.argmax(rows[:, 0, lane] > 0))
         assert rows[first, 0, lane]
-        stops = FASTEST / BRAKES if case.fault == "off" else 0.0
-        assert case.fails < first * period <= case.fails + stops + SOON + period, case
-        assert case.fault == "off" or (rows[first, 1, lane] > 0) == (case.fault == "reversed"), case
+        stops = FASTEST / BRAKES if case["fault"] == "off" else 0.0
+        assert case["fails"] < first * period <= case["fails"] + stops + SOON + period, case
+        assert case["fault"] == "off" or (rows[first, 1, lane] > 0) == (case["fault"] == "reversed"), case
         assert rows[first, 2, lane] < 0, case
 
 
 def test_the_arms_do_not_blame_the_drive_for_a_stuck_scale() -> None:
-    cases = [Case(fault="scale", fails=fails) for fails in FAILS]
+    cases = [{"fault": "scale", "fails": fails} for fails in FAILS]
     rows = findings(cases, firm)
     for lane in range(len(cases)):
         first = int(np.argmax(rows[:, 0, lane] > 0))

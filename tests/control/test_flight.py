@@ -68,15 +68,6 @@ def test_mirrored_and_turned_states_give_mirrored_and_turned_flights() -> None:
     np.testing.assert_allclose(turned.nodes, flights.nodes + turns, atol=SAME)
 
 
-def test_a_flight_samples_itself_and_starts_at_its_state() -> None:
-    state = [0.5, -1.0, 3.0, 2.0, 0.1, -0.5]
-    flight = dp.flight("lab", state, "down-up", limits=LIMITS)
-    assert flight.converged
-    np.testing.assert_allclose(flight.states([0.0])[0], state, atol=1e-12)
-    np.testing.assert_allclose(flight.states([flight.duration])[0], flight.nodes[-1], atol=1e-9)
-    assert flight.sample(50).shape == (50, 6)
-
-
 def test_a_flight_that_misses_says_so() -> None:
     weak = replace(LIMITS, acceleration=1.5, position=0.02)
     flight = dp.flight("lab", [1.0, 2.0, 3.0, 4.0, 0.01, 0.1], "up-up", limits=weak)

@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_stand_in import PERIOD, fly, model_of, plant_of
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
@@ -12,21 +11,28 @@ from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.lqr import ExtraEffects, HoldController, HoldSettings, hold_controller
 from dpcontrol.control.tracking import riccati_gains
 from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.loop.result import Ending
+from dpcontrol.plans.itinerary import itinerary_from
+from dpcontrol.plans.model import load_model
+from dpcontrol.plans.plan import make_plan
 from dpcontrol.references.problem import Limits
+from dpcontrol.runs.run import run_plan
 
 GAIN = 1e-6  # Relative, of two solvers of one Riccati equation.
 MARGIN = 0.01  # Of two grids of frequencies.
 HELD = 0.02  # rad: 5 % of mismatch and encoder counts leave less than a hundredth.
+PERIOD = 1e-3
+MODEL = sampled_model(LAB, 1 / PERIOD)
 EQUILIBRIA = {"down-down": (0.0, 0.0), "down-up": (0.0, np.pi), "up-down": (np.pi, 0.0), "up-up": (np.pi, np.pi)}
 
 
 def hold(name: str) -> HoldController:
-    return hold_controller([*EQUILIBRIA[name], 0.0, 0.0], model_of(), HoldSettings(damping=0.0), seconds=60.0)
+    return hold_controller([*EQUILIBRIA[name], 0.0, 0.0], MODEL, HoldSettings(damping=0.0), seconds=60.0)
 
 
 @pytest.mark.parametrize("name", ["down-down", "up-up"])
 def test_the_gain_is_that_of_the_riccati_equation(name: str) -> None:
-    model, controller = model_of(), hold(name)
+    model, controller = MODEL, hold(name)
     step = 1e-6 * np.eye(6)
     a = np.array([model.step(controller.state + d, 0.0) - model.step(controller.state - d, 0.0) for d in step]).T / 2e-6
     b = (model.step(controller.state, 1e-3) - model.step(controller.state, -1e-3)) / 2e-3
@@ -43,7 +49,7 @@ def test_assumed_damping_is_viscous_friction_that_grows_with_gravity_and_inertia
     share, added = 0.1, 0.1 * np.sqrt([base[3] * base[0], base[4] * base[2]])
     rough = replace(LAB, viscous=tuple(float(k) for k in np.array(LAB.viscous) + added))
     settings, up = HoldSettings(damping=share), [np.pi, np.pi, 0.0, 0.0]
-    assumed = hold_controller(up, model_of(), settings, seconds=1.0).gain
+    assumed = hold_controller(up, MODEL, settings, seconds=1.0).gain
     expected = hold_controller(up, sampled_model(rough, 1 / PERIOD), replace(settings, damping=0.0), seconds=1.0).gain
     assert assumed == pytest.approx(expected, rel=1e-9)
 
@@ -74,7 +80,7 @@ def test_the_default_damping_leaves_arms_without_dry_friction_half_of_their_marg
 
 
 def test_estimated_disturbances_are_compensated_at_the_cost_of_a_long_recursion() -> None:
-    model, settings = model_of(), HoldSettings()
+    settings = HoldSettings()
     rough = sampled_model(replace(LAB, viscous=(0.004, 0.002)), 1 / PERIOD)
     effects = np.zeros((6, 2))
     effects[2:4] = PERIOD * np.eye(2)
@@ -83,28 +89,23 @@ def test_estimated_disturbances_are_compensated_at_the_cost_of_a_long_recursion(
     found = hold_controller(up, rough, replace(settings, damping=0.0), seconds=1.0, extras=extras)
     a, b = rough.linearised(np.tile(up, (8000, 1)), np.zeros(8000))
     weights, effort = settings.weights(2, PERIOD)
-    _, expected, _ = riccati_gains(
-        a,
-        b,
-        weights=weights,
-        effort=effort,
-        terminal=np.diag(weights),
-        extras=(np.tile(effects, (8000, 1, 1)), extras.kept),
-    )
+    held = np.tile(effects, (8000, 1, 1)), extras.kept
+    _, expected, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=np.diag(weights), extras=held)
     assert found.extra_gains == pytest.approx(expected[0], rel=1e-6)
     session, extra = found.join(0, up), np.array([0.5, -2.0])
     assert session.command(0, up, extra).feedback == pytest.approx(-float(expected[0] @ extra), rel=1e-6)
-    assert hold_controller(up, model, settings, seconds=1.0).extra_gains is None
+    assert hold_controller(up, MODEL, settings, seconds=1.0).extra_gains is None
 
 
 @pytest.mark.parametrize("name", EQUILIBRIA)
 def test_each_equilibrium_is_held_by_encoders_with_other_parameters(name: str) -> None:
-    controller = hold(name)
-    start = controller.state + np.random.default_rng(1).uniform(-0.03, 0.03, 6) * [1, 1, 0, 0, 0, 0]
-    flight = fly(controller.join(0, controller.state), plant_of(1, 0.05), start, 6.0, believed=controller.state)
-    assert len(flight.states) == 6000
-    assert np.abs(flight.states[-1000:, :2] - controller.state[:2]).max() < HELD
-    assert np.abs(flight.states[:, 4]).max() < 0.2
+    text = f'hold = "{name}"\nstart = "hold"\nseconds = 6.0\ncontroller = {{ kind = "lqr", damping = 0.0 }}'
+    plan = make_plan(itinerary_from(text, name, load_model("lab")).with_run({"mismatch": 0.05, "initial_error": 0.03}))
+    run = run_plan(plan)
+    truth = run.log.states["truth"]
+    assert run.log.metadata["ending"] == Ending.FINISHED.value
+    assert np.abs(truth[-1000:, :2] - EQUILIBRIA[name]).max() < HELD
+    assert np.abs(truth[:, 4]).max() < 0.2
 
 
 @pytest.mark.slow
@@ -112,7 +113,7 @@ def test_each_equilibrium_is_held_by_encoders_with_other_parameters(name: str) -
 def test_a_kick_is_caught_within_the_track_up_to_where_the_cart_meets_its_stop(kick: float, caught: bool) -> None:
     # rad/s of the outer arm at Up-Up: the border lies at 2.041, by bisection of the same loop in lockstep.
     controller, limits = hold("up-up"), Limits()
-    rate = quick_rate(model_of().equations)
+    rate = quick_rate(MODEL.equations)
     state, farthest = controller.state + np.array([0, 0, 0, kick, 0, 0]), 0.0
     for _ in range(3000):
         u = float(np.clip(controller.gain @ (controller.state - state), -limits.acceleration, limits.acceleration))
@@ -128,14 +129,14 @@ def test_a_kick_is_caught_within_the_track_up_to_where_the_cart_meets_its_stop(k
 @pytest.mark.parametrize(("name", "margin"), [("down-up", 35), ("up-up", 25)])
 def test_an_unmodelled_delay_is_tolerated_up_to_the_margin_of_the_eigenvalues(name: str, margin: int) -> None:
     # Ticks: the most for which all eigenvalues of state and commands on their way lie within the unit circle.
-    controller, model = hold(name), model_of()
+    controller = hold(name)
 
     def growth(delay: int) -> float:
         state = controller.state + np.array([1e-6, 0, 0, 0, 0, 0])
         queue, sizes = [0.0] * delay, []
         for _ in range(12_000):
             queue.append(float(controller.gain @ (controller.state - state)))
-            state = model.step(state, queue.pop(0))
+            state = MODEL.step(state, queue.pop(0))
             sizes.append(np.abs(state - controller.state).max())
             if sizes[-1] > 0.1:
                 return np.inf

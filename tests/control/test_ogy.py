@@ -2,12 +2,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from bench_stand_in import model_of
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
+from dpcontrol.control.interface import sampled_model
 from dpcontrol.control.ogy import (
     ClassicOgySettings,
     OgyController,
@@ -32,6 +32,7 @@ from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 RICCATI = 1e-5  # Relative; matrices with entries of thousands, squared.
 SLOPE = 1e-3  # Of Runge-Kutta flights with a held input against a tight integrator, relative to the largest.
 NONE = np.zeros(0)
+MODEL = sampled_model(LAB, 1000.0)
 
 
 @cache
@@ -42,17 +43,17 @@ def orbit() -> SustainedOrbit:
 @cache
 def ogy(sections: int, *, parameter_error: float = 0.05) -> OgyController:
     settings = OgySettings(sections=sections, pulse_limit=5.0, parameter_error=parameter_error)
-    return ogy_controller(orbit(), model_of(), settings, seconds=60.0)
+    return ogy_controller(orbit(), MODEL, settings, seconds=60.0)
 
 
 @cache
 def classic(sections: int) -> OgyController:
-    return ogy_controller(orbit(), model_of(), ClassicOgySettings(sections=sections), seconds=60.0)
+    return ogy_controller(orbit(), MODEL, ClassicOgySettings(sections=sections), seconds=60.0)
 
 
 @cache
 def tvlqr(schedule: str = "phase") -> OrbitController:
-    return orbit_controller(orbit(), model_of(), TvlqrSettings(schedule=schedule), seconds=60.0)
+    return orbit_controller(orbit(), MODEL, TvlqrSettings(schedule=schedule), seconds=60.0)
 
 
 def test_gains_of_one_section_are_those_of_the_riccati_equation() -> None:

@@ -10,7 +10,6 @@ import pytest
 from library_program import LibraryProgram, library_ticker
 
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.protocols import Reading
 from dpcontrol.plans.plan import Plan
 
@@ -18,6 +17,7 @@ SANITIZED = ["-g1", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recove
 """With gcc, more debugging information than lines is too much."""
 WARNINGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
 SOURCES = ["dpc_controller.c", "dpc_tables.c"]
+REPLAY = [*SOURCES, "main_replay.c"]
 
 
 def needed(program: str) -> str:
@@ -62,19 +62,15 @@ class SideBySide:
     If `told`, the library receives the commands of the loop's tick, because its own commands would drift.
     """
 
-    def __init__(self, plan: Plan, made: Path, *, settings: LoopSettings | None = None, told: bool = True) -> None:
-        scene, reference = plan.itinerary, plan.reference
-        arms, loop = scene.model.arms, settings or scene.loop
-        assembly = Assembly(reference, arms, loop)
+    def __init__(self, plan: Plan, made: Path, *, told: bool = True) -> None:
+        assembly = Assembly(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop)
         self.own, self.other = assembly.ticker(), library_ticker(assembly, made)
         self.references, self.count = self.own.references, self.own.count
         self._told, self._k = told, 0
 
     @property
     def c(self) -> LibraryProgram:
-        program = self.other.program
-        assert isinstance(program, LibraryProgram)
-        return program
+        return self.other.program
 
     def __call__(
         self, positions: np.ndarray, *, present: np.ndarray | None = None, switch: int = 0

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,14 +25,14 @@ def single(exported_law: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="session")
 def exported_law(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Return the folder of an itinerary, a law and a precision, with the frequency of an elastic belt, Hz, if any."""
+    """Return the folder of an itinerary, a law and a precision, with further settings of [run]."""
 
     @cache
-    def made(itinerary: str, law: str, precise: str, belt: float = 0.0) -> Path:
+    def made(itinerary: str, law: str, precise: str, **run: Any) -> Path:
         folder = tmp_path_factory.mktemp(law) / "controller"
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(export, "_measured", lambda files: (None, None))
-            scene = load_itinerary(itinerary).with_run({"controller": law, "belt": belt})
+            scene = load_itinerary(itinerary).with_run({"controller": law, **run})
             export_plan(make_plan(scene), folder, single=precise == "single")
         return folder
 

@@ -74,13 +74,7 @@ class LibraryProgram(TickProgram):
         self._copied = [(name, part) for name, part in self.report._asdict().items() if name in (report.fields or ())]
 
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
-        """Begin a run; see `TickProgram.begin`.
-
-        Args:
-            first: first state (N,).
-            queued: pending commands (lead, 1), oldest first, m/s².
-            velocity: velocity of the cart, m/s.
-        """
+        """Begin a run; see `TickProgram.begin`."""
         super().begin(first, queued, velocity=velocity)
         self._c.dpc_init(self.controller_address)
 
@@ -90,19 +84,11 @@ class LibraryProgram(TickProgram):
         return self._c.dpc_status(self.controller_address)
 
     def set_sent(self, command: float) -> None:
-        """Set the command that the drive received, if it differs.
-
-        Args:
-            command: command, m/s².
-        """
+        """Set the command that the drive received, m/s², if it differs."""
         self._c.dpc_sent(self.controller_address, command)
 
     def prepare(self, names: Sequence[str]) -> None:
-        """Do nothing: the library is already compiled.
-
-        Args:
-            names: ignored.
-        """
+        """Do nothing: the library is already compiled."""
 
     def tick(self) -> None:
         """Compute a whole tick with the library's table."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from c_compilers import SANITIZED, SOURCES, WARNINGS, compiled, needed, ran, with_sanitizers
+from c_compilers import REPLAY, SANITIZED, SOURCES, WARNINGS, compiled, needed, ran, with_sanitizers
 
 import dpcontrol as dp
 from dpcontrol.plans.itinerary import load_itinerary
@@ -19,7 +19,6 @@ from dpcontrol.plans.plan import make_plan
 pytestmark = pytest.mark.slow
 
 HOSTILE_STEPS = "20000"  # Faults of one step in 100 to one in 3,000 are found within some thousand.
-REPLAY = [*SOURCES, "main_replay.c"]
 
 
 class Target(NamedTuple):
@@ -67,7 +66,7 @@ def test_every_compiler_and_level_gives_the_loops_commands(double: Path, compile
 def test_no_input_spoils_a_command_or_a_check(
     exported_law: Callable[..., Path], itinerary: str, law: str, precise: str, belt: float
 ) -> None:
-    folder = exported_law(itinerary, law, precise, belt)
+    folder = exported_law(itinerary, law, precise, belt=belt)
     shutil.copy(Path(__file__).with_name("hostile_inputs.c"), folder)
     options = [*SANITIZED, "-fsanitize=float-cast-overflow"]
     sources = [*SOURCES, "hostile_inputs.c"]

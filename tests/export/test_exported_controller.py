@@ -1,21 +1,22 @@
 """Exported C99 compared with the loop's tick, by gcc and clang: equal commands and decisions."""
 
 import ctypes
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from c_compilers import SOURCES, SideBySide, compiled, library, needed, ran
+from c_compilers import REPLAY, SOURCES, SideBySide, compiled, library, needed, ran
 from library_program import LibraryProgram
 
-from dpcontrol.control import export
 from dpcontrol.control.tick import SETTLING
 from dpcontrol.control.tick_parts import Outcome
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.plans.plan import Plan
-from dpcontrol.runs.run import export_plan
+
+# Seconds for generation and compilation of C.
+pytestmark = pytest.mark.slow
 
 SAME = 1e-9  # m/s²: rounding of sines times the law's gains, and interpolation of the tables.
 RUNNING, FINISHED, BRAKING, AT_REST = range(4)
@@ -31,7 +32,6 @@ def set_clock(program: LibraryProgram, tick: int) -> None:
     ctypes.c_long.from_address(program.controller_address + place).value = tick
 
 
-@pytest.mark.slow
 def test_nothing_is_allocated_and_no_other_name_is_taken(double: Path) -> None:
     # Data that are relocated on loading would look like a variable.
     options = ["-O0", "-fno-pic", "-fno-pie", "-c"]
@@ -46,10 +46,9 @@ def test_nothing_is_allocated_and_no_other_name_is_taken(double: Path) -> None:
     assert functions <= {"sin", "cos", "sqrt", "atan2", "fabs", "exp", "pow"}
 
 
-@pytest.mark.slow
 def test_a_replayed_run_gets_the_loops_commands(double: Path) -> None:
     folder = double
-    program = compiled("gcc", "-O1", folder=folder, out="replay", sources=[*SOURCES, "main_replay.c"])
+    program = compiled("gcc", "-O1", folder=folder, out="replay", sources=REPLAY)
     done = ran(program, "readings.csv", folder=folder)
     assert done.returncode == 0, done.stderr
     rows = np.genfromtxt(done.stdout.splitlines(), delimiter=",", skip_header=1)
@@ -70,30 +69,18 @@ def test_a_replayed_run_gets_the_loops_commands(double: Path) -> None:
     assert ran(program, "other.csv", folder=folder).returncode == 2
 
 
-# Slow: seconds for generation and compilation of C.
-@pytest.mark.slow
-def test_a_law_with_a_known_lag_is_exported_with_it(
-    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    scene = plan.itinerary.with_run({"lag": 0.02, "drive_lag": 0.02, "controller": "adaptive"})
-    source = export_plan(replace(plan, itinerary=scene), tmp_path / "lag")
-    assert "gains 6, drive 1, drive_gain 1" in source.files["dpc_tables.h"]
-    program = compiled("gcc", "-O0", folder=tmp_path / "lag", out="replay", sources=[*SOURCES, "main_replay.c"])
-    done = ran(program, "readings.csv", folder=tmp_path / "lag")
+def test_a_law_with_a_known_lag_is_exported_with_it(exported_law: Callable[..., Path]) -> None:
+    folder = exported_law("outer-turn", "adaptive", "double", lag=0.02, drive_lag=0.02)
+    assert "gains 6, drive 1, drive_gain 1" in (folder / "dpc_tables.h").read_text()
+    program = compiled("gcc", "-O0", folder=folder, out="replay", sources=REPLAY)
+    done = ran(program, "readings.csv", folder=folder)
     assert done.returncode == 0, done.stderr
     assert "4877 ticks, commands differ by" in done.stderr
 
 
-# Slow: seconds for generation and compilation of C.
-@pytest.mark.slow
-def test_an_export_ignores_the_angle_of_an_arm_without_an_encoder(
-    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    folder = tmp_path / "blind"
-    export_plan(replace(plan, itinerary=plan.itinerary.with_run({"encoders": (True, False)})), folder)
-    program = compiled("gcc", "-O0", folder=folder, out="replay", sources=[*SOURCES, "main_replay.c"])
+def test_an_export_ignores_the_angle_of_an_arm_without_an_encoder(exported_law: Callable[..., Path]) -> None:
+    folder = exported_law("outer-turn", "adaptive", "double", encoders=(True, False))
+    program = compiled("gcc", "-O0", folder=folder, out="replay", sources=REPLAY)
     head, *rows = (line.split(",") for line in (folder / "readings.csv").read_text().splitlines())
     assert {row[1] for row in rows} == {"nan"}
     (folder / "nonsense.csv").write_text(
@@ -104,7 +91,6 @@ def test_an_export_ignores_the_angle_of_an_arm_without_an_encoder(
     assert done[0].stdout == done[1].stdout
 
 
-@pytest.mark.slow
 def test_every_number_of_the_report_is_the_loops(plan: Plan, double: Path) -> None:
     both, rows = SideBySide(plan, library(double)), readings(double)[:300, :3]
     for k, positions in enumerate(rows):
@@ -118,7 +104,6 @@ def test_every_number_of_the_report_is_the_loops(plan: Plan, double: Path) -> No
     assert both.c.status == RUNNING
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sensor", [2, 3])
 def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, double: Path, sensor: int) -> None:
     loop = plan.itinerary.with_run({"stuck_at": 0.9, "stuck_sensor": sensor - 1}).loop
@@ -133,7 +118,6 @@ def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, double: Pat
     assert decided == [(Outcome.STUCK, Outcome.STUCK, sensor)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("trouble", "outcome"),
     [("switch", Outcome.SWITCH), ("silence", Outcome.SILENT), ("far", Outcome.CART), ("nan", Outcome.SILENT)],
@@ -170,7 +154,6 @@ def test_decisions_of_the_supervisor_bring_the_cart_to_rest(
     assert stopped < len(told) - still
 
 
-@pytest.mark.slow
 def test_after_the_last_tick_the_last_row_keeps_holding(plan: Plan, double: Path) -> None:
     both = SideBySide(plan, library(double), told=False)
     rows = Assembly(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop).controller.schedule(1).rows
@@ -184,7 +167,6 @@ def test_after_the_last_tick_the_last_row_keeps_holding(plan: Plan, double: Path
     assert states == [RUNNING] * 2 + [FINISHED] * 6
 
 
-@pytest.mark.slow
 def test_the_header_gives_the_first_commands_and_the_reference(plan: Plan, double: Path) -> None:
     both = SideBySide(plan, library(double))
     c = ctypes.CDLL(str(library(double)))

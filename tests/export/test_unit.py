@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from library_program import LibraryProgram, library_ticker
-from shadowing_stand_in import LAB, StandIn
+from library_program import library_ticker
+from shadowing_stand_in import LAB
 
 from dpcontrol.control.export import ControllerSource, Unit, controller_source, controller_unit
 from dpcontrol.control.interface import sampled_model
@@ -53,9 +53,8 @@ class Exported(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def exported(turn: tuple[StandIn, Reference], tmp_path_factory: pytest.TempPathFactory) -> Exported:
+def exported(reference: Reference, tmp_path_factory: pytest.TempPathFactory) -> Exported:
     """The beginning of the turn."""
-    reference = turn[1]
     whole = tracking_controller(reference, sampled_model(LAB, SETTINGS.rate), SETTINGS.controller)
     short = replace(
         whole, reference_states=whole.reference_states[: TICKS + 1], feedforward=whole.feedforward[:TICKS],
@@ -151,7 +150,6 @@ def test_its_functions_are_those_of_the_standards_headers(exported: Exported, tm
 def test_on_the_plant_it_is_the_exported_c_to_the_last_bit(exported: Exported, tmp_path: Path) -> None:
     ticker = library_ticker(Assembly(exported.reference, LAB, SETTINGS, law=exported.controller), exported.library)
     program, queued = ticker.program, ticker.queued[:, 0].tolist()
-    assert isinstance(program, LibraryProgram)
     rig = bench(exported, queued)
     with running(exported, tmp_path) as slave:
         assert slave.get("command") == queued[-1]

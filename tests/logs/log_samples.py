@@ -50,28 +50,20 @@ def sample(ticks: int = 250, *, arms: int = 2, has_cart: bool = True, has_truth:
 
 
 def open_writer(path: Path, run: Sample) -> LogWriter:
-    return LogWriter(
-        path,
-        arm_lengths=run.arm_lengths,
-        rate_hz=RATE,
-        has_cart=run.has_cart,
-        limits=(0.9, 3.0, 30.0),
-        extras=EXTRAS,
-        metadata=METADATA,
-        attachments=ATTACHMENTS,
-    )
+    known = {"limits": (0.9, 3.0, 30.0), "extras": EXTRAS, "metadata": METADATA, "attachments": ATTACHMENTS}
+    return LogWriter(path, arm_lengths=run.arm_lengths, rate_hz=RATE, has_cart=run.has_cart, **known)
+
+
+def log_ticks(log: LogWriter, run: Sample, first: int, end: int) -> None:
+    """Log the ticks from `first` to `end` together."""
+    parts = {name: getattr(run, name) for name in ("measured", "estimate", "reference", "truth", "control", "extras")}
+    rows = {name: None if part is None else part[first:end] for name, part in parts.items()}
+    log.ticks(run.time[first:end], **rows)
 
 
 def tick_all(log: LogWriter, run: Sample, *, upto: int | None = None) -> None:
     for k in range(len(run.time) if upto is None else upto):
-        log_tick(log, run, k)
-
-
-def log_tick(log: LogWriter, run: Sample, k: int) -> None:
-    """Log tick k of `run`; a row of None is a missing part."""
-    parts = {name: getattr(run, name) for name in ("measured", "estimate", "reference", "truth", "control", "extras")}
-    rows = {name: None if part is None or part[k] is None else part[k][None] for name, part in parts.items()}
-    log.ticks(run.time[k : k + 1], **rows)
+        log_ticks(log, run, k, k + 1)
 
 
 def write_sample(path: Path, run: Sample) -> Path:
@@ -80,15 +72,6 @@ def write_sample(path: Path, run: Sample) -> Path:
         log.event(Event(0.0, "info", "loop", words="started"))
         tick_all(log, run, upto=100)
         log.event(Event(0.1, "warn", "drive", words="command cut at 5 m/s²"))
-        rest = slice(100, None)
-        log.ticks(
-            run.time[rest],
-            measured=run.measured[rest],
-            estimate=run.estimate[rest],
-            reference=run.reference[rest],
-            truth=None if run.truth is None else run.truth[rest],
-            control=run.control[rest],
-            extras=run.extras[rest],
-        )
+        log_ticks(log, run, 100, len(run.time))
         log.event(Event(run.time[-1], "error", "supervisor", words="ended"))
     return path

@@ -1,19 +1,26 @@
 """Many seeds side by side and each alone: the same code, so the same states to the last bit, and the same endings."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from shadowing_stand_in import LAB, StandIn
+from shadowing_stand_in import LAB
 
+import dpcontrol.loop.loop
 from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, MechanicsSettings, SensorSettings
+from dpcontrol.loop.blocks import Blocks
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import BatchRun, Ending, SupervisorSettings
+from dpcontrol.loop.result import BatchRun, Ending, Events, SupervisorSettings
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.references.reference import Reference
+from dpcontrol.runs.run import assembled
 
 BY_ITSELF = 1e-9
 """Tolerance of the states, in rad, rad/s, m and m/s; of commands a thousand times more.
@@ -108,8 +115,8 @@ def assert_same(one: BatchRun, other: BatchRun, within: float = 0.0) -> None:
         for k, (name, settings) in enumerate(KEPT_UP.items())
     ],
 )
-def test_a_seed_alone_is_the_seed_among_others(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
-    together, alone = both(turn[1], settings)
+def test_a_seed_alone_is_the_seed_among_others(reference: Reference, settings: LoopSettings) -> None:
+    together, alone = both(reference, settings)
     by_phase = isinstance(settings.controller, TvlqrSettings) and settings.controller.schedule == "phase"
     for one, other in zip(together, alone, strict=True):
         assert_same(one, other, within=BY_ITSELF if by_phase else 0.0)
@@ -120,9 +127,9 @@ def test_a_seed_alone_is_the_seed_among_others(turn: tuple[StandIn, Reference], 
 
 @pytest.mark.parametrize(("settings", "ending"), WHERE_IT_BREAKS.values(), ids=WHERE_IT_BREAKS.keys())
 def test_a_seed_alone_ends_where_and_as_it_does_among_others(
-    turn: tuple[StandIn, Reference], settings: LoopSettings, ending: Ending
+    reference: Reference, settings: LoopSettings, ending: Ending
 ) -> None:
-    together, alone = both(turn[1], settings)
+    together, alone = both(reference, settings)
     for one, other in zip(together, alone, strict=True):
         assert_same(one, other)
     assert ending in {run.ending for run in together}
@@ -137,7 +144,49 @@ def test_a_seed_alone_ends_where_and_as_it_does_among_others(
         replace(BASE, supervisor=SupervisorSettings(resynchronise=0.5)),
     ],
 )
-def test_settings_without_lockstep_are_known(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
-    assembly = Assembly(turn[1], LAB, BASE)
+def test_settings_without_lockstep_are_known(reference: Reference, settings: LoopSettings) -> None:
+    assembly = Assembly(reference, LAB, BASE)
     assert assembly.lockstep
     assert not assembly.under(settings).lockstep
+
+
+@cache
+def planned() -> Plan:
+    return make_plan(load_itinerary("cross"))
+
+
+CASES: dict[str, Mapping[str, Any]] = {
+    "as shipped": {},
+    "noise and gaps": {"noise": 5e-4, "cart_noise": 1e-4, "rate_noise": 0.05, "command_noise": 0.3, "dropout": 0.05},
+    "blows": {"knocks_per_minute": 60.0, "knock_impulse": 0.003, "zero_drift": 0.01},
+    "a lag and a delay": {"lag": 0.005, "drive_lag": 0.005, "delay": 2.0, "jerk": 500.0, "response": 0.98},
+    "a lost run": {"mismatch": 0.6},
+    "exact sensors": {"counts": 0, "cart_resolution": 0.0},
+    "a missing encoder": {"encoders": (True, False), "dropout": 0.05},
+    "a fast loop": {"rate": 2000.0},
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_run_in_blocks_equals_the_run_tick_by_tick(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = planned()
+    assembly = assembled(replace(plan, itinerary=plan.itinerary.with_run(CASES[name])))
+    computed: list[int] = []
+    run = Blocks.run
+
+    def counted(*arguments: Any) -> int:
+        computed.append(run(*arguments))
+        return computed[-1]
+
+    monkeypatch.setattr(Blocks, "run", counted)
+    draw, told, told_singly = assembly.draw(seed=3), Events(), Events()
+    blocks = assembly.simulate(draw=draw, sink=told)
+    monkeypatch.setattr(dpcontrol.loop.loop, "blocks_of", lambda *_: None)
+    singly = assembly.simulate(draw=draw, sink=told_singly)
+    for part in ("times", "measured", "estimates", "references", "truth", "control", "extras"):
+        assert getattr(blocks.ticks, part).tobytes() == getattr(singly.ticks, part).tobytes()
+    assert repr(told.kept) == repr(told_singly.kept)
+    assert blocks.hardest == singly.hardest
+    # Blocks end where the cart brakes after a fall.
+    assert sum(computed) >= len(blocks.ticks.times) / 2
+    assert len(blocks.thinking) == len(singly.thinking) == np.count_nonzero(singly.ticks.times >= 0)

@@ -1,20 +1,17 @@
-from copy import deepcopy
-from dataclasses import dataclass, field, replace
-
 import numpy as np
 import pytest
-from shadowing_stand_in import LAB, StandIn
+from kept_rows import Kept
+from shadowing_stand_in import LAB
 
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import sampled_model
-from dpcontrol.control.tracking import TrackingController, tracking_controller
+from dpcontrol.control.tracking import TrackingController
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import Event
 from dpcontrol.logs.layout import control_fields
 from dpcontrol.loop.assembly import Assembly
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Ending, LoopSink, SinkBeside, Ticks
-from dpcontrol.references.problem import Limits
+from dpcontrol.loop.result import Ending, LoopResult, LoopSink, SinkBeside
 from dpcontrol.references.reference import Reference
 
 COUNT = 2 * np.pi / 40_000
@@ -22,49 +19,25 @@ FIELDS = {name: k for k, name in enumerate(control_fields(2, has_cart=True))}
 REAL = LoopSettings(seed=0, mismatch=0.02, initial_error=0.02)
 
 
-@dataclass
-class Kept:
-    """A sink that keeps what it is given."""
-
-    blocks: list[Ticks] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
-
-    def ticks(self, rows: Ticks) -> None:
-        self.blocks.append(deepcopy(rows))
-
-    def whole(self, name: str) -> np.ndarray:
-        return np.concatenate([getattr(block, name) for block in self.blocks])
-
-    def event(self, event: Event) -> None:
-        self.events.append(event)
-
-
-@pytest.fixture(scope="module")
-def controller(turn: tuple[StandIn, Reference]) -> TrackingController:
-    return tracking_controller(turn[1], sampled_model(LAB, 1000.0), REAL.controller)
-
-
 def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
 @pytest.mark.slow
-def test_the_right_model_tracks_to_encoder_counts(
-    turn: tuple[StandIn, Reference], controller: TrackingController
-) -> None:
+def test_the_right_model_tracks_to_encoder_counts(reference: Reference, controller: TrackingController) -> None:
     # Zeros that have to be found first cost their share.
     for augment, most in (((), COUNT), (("zeros",), 3 * COUNT)):
         settings = LoopSettings(seed=0, estimator=EkfSettings(augment=augment))
-        result = Assembly(turn[1], LAB, settings, law=controller).simulate()
+        result = Assembly(reference, LAB, settings, law=controller).simulate()
         assert result.ending is Ending.FINISHED
         assert rms((result.ticks.truth - result.ticks.references)[:, :2]) < most
-        assert rms(result.ticks.control[:, FIELDS["applied"]]) < 2 * most / COUNT * turn[1].rms_cart_acceleration
+        assert rms(result.ticks.control[:, FIELDS["applied"]]) < 2 * most / COUNT * reference.rms_cart_acceleration
 
 
 def test_truth_between_ticks_is_the_mismatched_plant_under_the_applied_command(
-    turn: tuple[StandIn, Reference], controller: TrackingController
+    reference: Reference, controller: TrackingController
 ) -> None:
-    result = Assembly(turn[1], LAB, REAL, law=controller).simulate()
+    result = Assembly(reference, LAB, REAL, law=controller).simulate()
     assert result.plant != LAB
     for value, nominal in zip(result.plant.mass, LAB.mass, strict=True):
         assert abs(value / nominal - 1) <= 0.02
@@ -77,37 +50,22 @@ def test_truth_between_ticks_is_the_mismatched_plant_under_the_applied_command(
     assert result.ticks.truth[1] != pytest.approx(own, abs=1e-6)
 
 
-def test_the_sink_sees_every_tick_and_the_ending(
-    turn: tuple[StandIn, Reference], controller: TrackingController
+def test_sinks_see_every_tick_and_what_fails_beside_the_loop_ends_the_run(
+    reference: Reference, controller: TrackingController
 ) -> None:
-    kept, heard = Kept(), []
-    result = Assembly(turn[1], LAB, REAL, law=controller).simulate(
-        sink=kept, progress=lambda what, done: heard.append((what, done))
-    )
-    for name in ("times", "truth", "estimates", "control"):
-        assert (kept.whole(name) == getattr(result.ticks, name)).all()
-    assert max(len(block.times) for block in kept.blocks) <= 0.2 * REAL.rate
-    assert kept.whole("times")[-1] == pytest.approx(turn[1].duration, abs=1e-3)
-    assert kept.events[0].name == "start"
-    assert kept.events[-1] == result.end
-    assert heard[-1] == ("run", 1.0)
-    assert all(0 <= done <= 1 for _, done in heard)
-    assert np.isfinite(result.ticks.control).all()
-
-
-def test_a_sink_beside_the_loop_sees_the_same_and_what_fails_there_ends_the_run(
-    turn: tuple[StandIn, Reference], controller: TrackingController
-) -> None:
-    def run(sink: LoopSink) -> None:
-        Assembly(turn[1], LAB, REAL, law=controller).simulate(sink=sink)
+    def run(sink: LoopSink) -> LoopResult:
+        return Assembly(reference, LAB, REAL, law=controller).simulate(sink=sink)
 
     here, there = Kept(), Kept()
-    run(here)
+    result = run(here)
     with SinkBeside(there) as beside:
         run(beside)
     for name in ("times", "truth", "estimates", "control"):
+        assert (here.whole(name) == getattr(result.ticks, name)).all()
         assert (here.whole(name) == there.whole(name)).all()
-    assert here.events == there.events
+    assert here.kept == there.kept
+    assert here.kept[-1] == result.end
+    assert max(len(block.times) for block in here.blocks) <= 0.2 * REAL.rate
 
     class Fails(Kept):
         def event(self, event: Event) -> None:
@@ -115,12 +73,3 @@ def test_a_sink_beside_the_loop_sees_the_same_and_what_fails_there_ends_the_run(
 
     with pytest.raises(InputError, match="the disk is full"), SinkBeside(Fails()) as beside:
         run(beside)
-
-
-def test_a_weak_drive_is_reported_as_saturated(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
-    weak = replace(turn[1], limits=Limits(acceleration=0.3))
-    kept = Kept()
-    result = Assembly(weak, LAB, REAL, law=controller).simulate(sink=kept)
-    assert np.abs(result.ticks.control[:, FIELDS["applied"]]).max() <= 0.3
-    assert result.ticks.control[:, FIELDS["saturated"]].any()
-    assert "saturated" in [event.name for event in kept.events]

@@ -10,20 +10,9 @@ from dpcontrol.control.tick import KnownMechanics
 from dpcontrol.loop.bench import BenchSettings, MechanicsSettings, draw_bench
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.plans.itinerary import itinerary_from
-from dpcontrol.plans.model import load_model
 from dpcontrol.references.problem import Limits
 
 LIMITS = Limits(position=0.4, velocity=3.0, acceleration=30.0)
-
-
-def read(text: str) -> MechanicsSettings:
-    return itinerary_from(f'hold = "up-up"\nstart = "hold"\n[run]\n{text}\n', "scene", load_model("lab")).loop.mechanics
-
-
-def test_play_and_stiction_are_one_number_for_all_arms_or_one_for_each() -> None:
-    assert read("play = 0.01").of_each("play", 3) == (0.01, 0.01, 0.01)
-    assert read("stiction = [2e-3, 1e-3]").of_each("stiction", 2) == (2e-3, 1e-3)
 
 
 def test_the_loop_models_the_true_play_and_belt_by_default() -> None:
@@ -68,15 +57,3 @@ def test_the_scale_reads_the_motor_or_the_cart_and_the_truth_is_the_cart(scale: 
         assert reading.positions[2] == pytest.approx(place, abs=1e-6)
         apart = max(apart, abs(rig.state[6] - rig.truth[4]))
     assert apart > 1e-3
-
-
-def test_an_encoder_with_play_is_behind_its_joint_by_half_of_it_on_either_side() -> None:
-    settings = BenchSettings(mechanics=MechanicsSettings(play=0.02))
-    draw = draw_bench(LAB, settings, seed=1, ticks=1500, period=1e-3)
-    rig = SimulatedRig(draw, settings, limits=LIMITS, start=np.array([0.3, 0.3, 0, 0, 0, 0]))
-    apart = []
-    for _ in range(1400):
-        reading = rig.read()
-        rig.command(0.0)
-        apart.append(rig.truth[0] - reading.positions[0])
-    assert np.ptp(apart) == pytest.approx(0.02, abs=4e-4)

@@ -42,19 +42,6 @@ def test_missed_counts_pile_up_against_the_motion_and_a_joint_at_rest_loses_none
     assert encoders.measure(back, missed=np.array([3, 0]))[0] == pytest.approx(0.0, abs=EXACT)
 
 
-@pytest.mark.parametrize("which", [0, 1, 2])
-def test_a_stuck_sensor_repeats_itself_while_the_others_go_on(which: int) -> None:
-    encoders = Encoders(2, SensorSettings(stuck_at=0.5, stuck_sensor=which))
-    moving = np.array([0.3, 0.9, 0.0, 0.0, 0.2, 0.0])
-    before = encoders.measure(moving * 0.9, 0.499)
-    stuck = [encoders.measure(moving * (1 + t), t) for t in (0.5, 0.6, 2.0)]
-    joints = np.array([[m[0], m[1] - m[0], m[2]] for m in stuck])
-    assert np.ptp(joints[:, which]) < EXACT
-    others = [k for k in range(3) if k != which]
-    assert (np.abs(np.diff(joints[:, others], axis=0)) > 0.01).all()
-    assert before[2] == pytest.approx(0.18, abs=1e-6)
-
-
 def test_noise_has_the_covariance_of_the_settings() -> None:
     settings = SensorSettings(counts=(2000, 500), cart_resolution=1e-3, noise=2e-3, cart_noise=5e-4)
     encoders, random = Encoders(2, settings), np.random.default_rng(1)

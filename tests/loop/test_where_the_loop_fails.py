@@ -1,48 +1,35 @@
-"""Failures of the loop: every run ends with a name and a useful reason, the cart inside its limits, the log complete.
+"""Failures of the loop: every run ends with a name and a true reason, the cart inside its limits, the log complete.
 
 The cart is watched for a second after the run as well, on a track without hard stops that would keep it.
 """
 
 import math
-from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
-from shadowing_stand_in import LAB, StandIn
+from ending_truth import Flight, class_of, flights, untrue, untrue_score
+from kept_rows import Kept
+from shadowing_stand_in import LAB
 
-from dpcontrol.control.interface import Mode, sampled_model
-from dpcontrol.control.tracking import TrackingController, tracking_controller
-from dpcontrol.logs import Event
+import dpcontrol as dp
+from dpcontrol.control.interface import Mode
+from dpcontrol.control.tracking import TrackingController
 from dpcontrol.loop.assembly import Assembly
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, SensorSettings, Unlike, draw_bench
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, SensorSettings
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings, Ticks
+from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings
 from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.plans.plan import Plan
 from dpcontrol.references.reference import Reference
+from dpcontrol.runs.closed_loop import ClosedLoop
 
 AFTER = 1000  # Ticks for which the bench goes on when the loop has ended.
 TRACK = 10.0  # m: the hard stops are far away, so that it is the loop that keeps the cart inside its limits.
 AT_REST = 0.01  # m/s, of a cart that was braked.
 REAL = LoopSettings(seed=0, mismatch=0.02, initial_error=0.02, drive=DriveSettings(track=TRACK))
-
-
-@dataclass
-class Kept:
-    """A sink that keeps what it is given."""
-
-    times: list[float] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
-
-    def ticks(self, rows: Ticks) -> None:
-        self.times += deepcopy(rows.times).tolist()
-
-    def event(self, event: Event) -> None:
-        self.events.append(event)
-
-    @property
-    def names(self) -> list[str]:
-        return [event.name for event in self.events]
 
 
 @dataclass
@@ -56,36 +43,23 @@ class Ended:
 
 
 @pytest.fixture(scope="module")
-def controller(turn: tuple[StandIn, Reference]) -> TrackingController:
-    return tracking_controller(turn[1], sampled_model(LAB, 1000.0), REAL.controller)
+def ended(reference: Reference, controller: TrackingController) -> Callable[..., Ended]:
+    def run(settings: LoopSettings, *, believed_delay: float | None = None) -> Ended:
+        log, bench = Kept(), settings.bench
+        assembly = Assembly(reference, LAB, settings, law=controller, believed_delay=believed_delay)
+        draw = settings.draw(LAB, ticks=controller.ticks + 1 + AFTER)
+        loop = assembly.loop(sink=log)
+        rig = SimulatedRig(draw, bench, limits=assembly.limits, start=controller.first_state, queued=loop.queued)
+        record = loop.run(rig)
+        after = []
+        for _ in range(AFTER):
+            rig.read()
+            after.append(np.abs(rig.truth[4:6]))
+        farthest = max(np.abs(record.ticks.truth[:, 4]).max(), np.array(after)[:, 0].max())
+        # The least speed: a knock may come even then.
+        return Ended(record, log, float(farthest), float(np.array(after)[:, 1].min()))
 
-
-def ended(
-    turn: tuple[StandIn, Reference],
-    controller: TrackingController,
-    settings: LoopSettings,
-    *,
-    believed_delay: float | None = None,
-) -> Ended:
-    assembly = Assembly(turn[1], LAB, settings, law=controller, believed_delay=believed_delay)
-    draw = draw_bench(
-        LAB, settings.bench, seed=settings.seed, ticks=controller.ticks + 1 + AFTER, period=1e-3,
-        unlike=Unlike(settings.mismatch, initial_error=settings.initial_error),
-    )  # fmt: skip
-    log = Kept()
-    loop = assembly.loop(sink=log)
-    rig = SimulatedRig(draw, settings.bench, limits=assembly.limits, start=controller.first_state, queued=loop.queued)
-    record = loop.run(rig)
-    truth = record.ticks.truth
-    assert truth is not None
-    farthest = float(np.abs(truth[:, 4]).max())
-    speed = math.inf
-    for _ in range(AFTER):
-        rig.read()
-        farthest = max(farthest, abs(float(rig.truth[4])))
-        # The least: a knock may come even then.
-        speed = min(speed, abs(float(rig.truth[5])))
-    return Ended(record, log, farthest, speed)
+    return run
 
 
 def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> None:
@@ -95,12 +69,13 @@ def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> Non
     assert run.farthest <= limit
     assert run.speed < AT_REST
     # Every tick is in the log, in order; the first event begins it and the last one is the ending, at the last tick.
-    assert log.times == record.ticks.times.tolist() == sorted(set(log.times))
+    logged = log.whole("times").tolist()
+    assert logged == record.ticks.times.tolist() == sorted(set(logged))
     assert np.isfinite(record.ticks.estimates).all()
     assert log.names[0] == "start"
-    assert (log.events[-1].level, log.events[-1].name) == ("error", ending.value)
-    assert log.events[-1].time == pytest.approx(log.times[-1])
-    times = [event.time for event in log.events]
+    assert (log.kept[-1].level, log.kept[-1].name) == ("error", ending.value)
+    assert log.kept[-1].time == pytest.approx(logged[-1])
+    times = [event.time for event in log.kept]
     assert times == sorted(times)
     assert "stop" in log.names
     assert record.ticks.control[-1, 6] == Mode.ABORTED
@@ -109,26 +84,22 @@ def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> Non
 @pytest.mark.parametrize(
     ("sensor", "name"), [(0, "the encoder of joint 1"), (1, "the encoder of joint 2"), (2, "the cart's scale")]
 )
-def test_a_stuck_sensor_is_named_before_the_cart_runs_away(
-    turn: tuple[StandIn, Reference], controller: TrackingController, sensor: int, name: str
-) -> None:
+def test_a_stuck_sensor_is_named_before_the_cart_runs_away(ended: Callable[..., Ended], sensor: int, name: str) -> None:
     for at in (0.5, 2.0, 3.7):
         settings = replace(REAL, sensors=SensorSettings(stuck_at=at, stuck_sensor=sensor))
-        run = ended(turn, controller, settings)
+        run = ended(settings)
         check(run, Ending.ESTIMATE_LOST, f"{name} is stuck", limit=0.05)
-        assert run.log.times[-1] < at + 0.6
+        assert run.log.whole("times")[-1] < at + 0.6
 
 
-def test_a_restart_and_a_move_of_the_clock_are_events(
-    turn: tuple[StandIn, Reference], controller: TrackingController
-) -> None:
+def test_a_restart_and_a_move_of_the_clock_are_events(ended: Callable[..., Ended]) -> None:
     nervous = SupervisorSettings(lost_estimate=5.0)
     strict = replace(REAL.estimator, parameter_error=0.0, rate_noise=1e-4)
-    run = ended(turn, controller, replace(REAL, mismatch=0.3, supervisor=nervous, estimator=strict))
+    run = ended(replace(REAL, mismatch=0.3, supervisor=nervous, estimator=strict))
     assert run.log.names.count("restart the estimator") == nervous.restarts
     check(run, Ending.ESTIMATE_LOST, "check the encoders")
     wandering = SupervisorSettings(resynchronise=0.06)
-    moved = ended(turn, controller, replace(REAL, mismatch=0.3, supervisor=wandering))
+    moved = ended(replace(REAL, mismatch=0.3, supervisor=wandering))
     assert "re-synchronise" in moved.log.names
 
 
@@ -156,15 +127,91 @@ def nasty(seed: int) -> tuple[LoopSettings, float]:
 
 
 @pytest.mark.slow
-def test_the_cart_stays_inside_its_limits_in_all_failures(
-    turn: tuple[StandIn, Reference], controller: TrackingController
-) -> None:
+def test_the_cart_stays_inside_its_limits_in_all_failures(ended: Callable[..., Ended]) -> None:
     for seed in range(24):
         settings, believed = nasty(seed)
-        run = ended(turn, controller, settings, believed_delay=believed)
+        run = ended(settings, believed_delay=believed)
         assert run.farthest <= 0.4, (seed, run.record.reason)
         assert run.speed < AT_REST
         if run.record.ending is not Ending.FINISHED:
             check(run, run.record.ending, "at t = ")
         if math.isinf(settings.sensors.stuck_at):
             assert "stuck" not in run.record.reason, seed
+
+
+BENCH = {"initial_error": 0.05, "command_noise": 0.3, "controller": "tvlqr"}
+
+
+def flown(plan: Plan, *, seed: int = 0, **options: Any) -> Flight:
+    (flight,) = flights(plan.itinerary.with_run({**{**BENCH, **options}}), plan.reference, [seed])
+    return flight
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        ({"travel": 0.05, "mismatch": 0.1}, "cart at its stop"),
+        ({"pushes": 3, "push_impulse": 0.03, "travel": 2.0, "seed": 3}, "tracking lost"),
+        ({"stuck_at": 1.0, "stuck_sensor": 0}, "sensor stuck"),
+        ({"stuck_at": 1.0, "stuck_sensor": 1}, "sensor stuck"),
+        ({"stuck_at": 1.0, "stuck_sensor": 2}, "sensor stuck"),
+        ({"dropout": 0.99}, "no measurement"),
+    ],
+)
+def test_the_reason_of_an_ending_is_true(plan: Plan, options: dict[str, Any], kind: str) -> None:
+    flight = flown(plan, **options)
+    assert class_of(flight) == kind, flight.run.reason
+    assert untrue(flight) == untrue_score(flight) == ""
+
+
+def test_a_lost_estimate_is_one_that_was_wrong(plan: Plan) -> None:
+    scene = plan.itinerary.with_run({**BENCH, "mismatch": 0.8, "lag": 0.03, "travel": 10.0})
+    # A filter that knows nothing of its model's errors.
+    strict = replace(scene.loop.estimator, augment=("zeros",), parameter_error=0.0, rate_noise=1e-5, cart_noise=1e-3)
+    found = flights(replace(scene, loop=replace(scene.loop, estimator=strict)), plan.reference, range(8))
+    lost = [flight for flight in found if flight.run.ending is Ending.ESTIMATE_LOST]
+    assert lost
+    assert [untrue(flight) for flight in lost] == [""] * len(lost)
+
+
+def test_a_limit_switch_is_at_its_nominal_place(plan: Plan) -> None:
+    scene = plan.itinerary.with_run({**BENCH, "mismatch": 0.1})
+    short = replace(scene.loop, drive=replace(scene.loop.drive, track=0.02))
+    (flight,) = flights(replace(scene, loop=short), plan.reference, range(1))
+    assert class_of(flight) == "limit switch"
+    assert untrue(flight) == ""
+    assert np.abs(flight.run.truth[:, -2]).max() == pytest.approx(0.02, abs=1e-6)
+
+
+SOON = 0.05
+"""Longest time from visible commanded motion to the end of the run, s."""
+MOVED = 5e-3
+"""Commanded motion of a resting cart that must show, m: less can be noise if the commands stay below 1 m/s²."""
+ITINERARY = "turn-from-rest"
+ERROR = 0.05
+"""Initial error of simulated arms, rad, so that the commands begin at once."""
+
+
+@pytest.fixture(scope="module")
+def loop() -> ClosedLoop:
+    return dp.closed_loop(ITINERARY, initial_error=ERROR)
+
+
+def ended_soon(result: LoopResult, *, fails: float = 0.0) -> bool:
+    """Return true if the run ended soon after its commands demanded a visible motion of a resting cart."""
+    assert result.ending is Ending.DRIVE_FAILED, result.reason
+    times, applied, mode = result.ticks.times, result.ticks.control[:, 3], result.ticks.control[:, 6]
+    moved = np.abs(np.cumsum(np.cumsum(np.where(times >= fails, applied, 0.0))) * (times[1] - times[0]) ** 2)
+    due = times[moved >= MOVED]
+    return not due.size or times[np.argmax(mode == Mode.ABORTED)] <= due[0] + SOON
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("failure", ["off", "reversed"])
+@pytest.mark.parametrize("fails", [0.0, 1.0, 1.3])
+def test_a_simulated_drive_that_fails_ends_the_run_soon(loop: ClosedLoop, failure: str, fails: float) -> None:
+    settings = loop.assembly.settings
+    drive = replace(settings.drive, failed_at=fails, failure=failure)
+    faulty = loop.assembly.under(replace(settings, drive=drive))
+    for seed in range(2):
+        assert ended_soon(faulty.simulate(draw=faulty.draw(seed=seed)), fails=fails)

@@ -10,7 +10,6 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from dpcontrol.foundation.errors import Remark
-from dpcontrol.logs import LogWriter
 from dpcontrol.recordings.importing import import_recording
 
 SAMPLES, PERIOD, START = 300, 0.002, 1_700_000_000
@@ -67,102 +66,59 @@ def test_a_bag_is_imported_by_a_mapping(tmp_path: Path, kind: str, time: str) ->
     assert np.allclose(found.angles, expected, atol=1e-12)
     assert found.dt == pytest.approx(PERIOD)
     assert found.rates is None
-    assert found.cart is not None
     # Millimetres on a straight line, interpolated between messages half a period off.
     assert np.allclose(found.cart, 0.1 * np.arange(SAMPLES), atol=1e-9)
 
 
 ENCODERS = "float64[] data\nbuiltin_interfaces/Time stamp\n"
 TIME_PART = f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-SCHEMAS = {"ros2msg": ("cdr", ENCODERS + TIME_PART), "protobuf": ("protobuf", "x")}
+MOMENTS = [START * 10**9 + round(1e9 * PERIOD * k) for k in range(SAMPLES)]
+Topic = tuple[str, str, str, list[tuple[int, bytes]]]
 
 
-def encoders(path: Path, language: str) -> Path:
-    """Write the angles as messages of a rig's own type, beside a topic in another encoding."""
-    encoding, text = SCHEMAS[language]
-    with path.open("wb") as target:
+def encoders() -> Topic:
+    """Return a topic of the angles: its name, encoding, definition and messages with their times."""
+    messages = []
+    for moment, angles in zip(MOMENTS, ANGLES, strict=True):
+        # A header, the length of the list, its padding, the numbers, and the time.
+        stamp = [value.to_bytes(4, "little") for value in divmod(moment, 10**9)]
+        messages.append((moment, b"".join([b"\0\1\0\0" + (2).to_bytes(8, "little"), angles.tobytes(), *stamp])))
+    return "/encoders", "cdr", ENCODERS + TIME_PART, messages
+
+
+def rig_file(folder: Path, *topics: Topic, time: str = "log_time", more: str = "") -> tuple[Path, str]:
+    """Write topics as an MCAP file and its mapping, with `more` lines; return both."""
+    with (folder / "rig.mcap").open("wb") as target:
         writer = Writer(target)
         writer.start(profile="ros2", library="rig")
-        schema = writer.register_schema("rig_msgs/msg/Encoders", language, text.encode())
-        number = writer.register_channel("/encoders", encoding, schema)
-        chat = writer.register_channel("/chat", "text", 0)
-        for k, angles in enumerate(ANGLES):
-            moment = START * 10**9 + round(1e9 * PERIOD * k)
-            # A header, the length of the list, its padding, and the numbers.
-            head = b"\0\1\0\0" + len(angles).to_bytes(8, "little")
-            stamp = [value.to_bytes(4, "little") for value in divmod(moment, 10**9)]
-            message = b"".join([head, angles.tobytes(), *stamp])
-            writer.add_message(number, moment, message, moment)
-            writer.add_message(chat, moment, b"?", moment)
+        for name, encoding, definition, messages in topics:
+            schema = definition and writer.register_schema(f"rig_msgs/msg/{name[1:]}", "ros2msg", definition.encode())
+            channel = writer.register_channel(name, encoding, schema or 0)
+            for moment, data in messages:
+                writer.add_message(channel, moment, data, moment)
         writer.finish()
-    return path
-
-
-def encoder_mapping(path: Path, *, time: str = "log_time", second: str = "/encoders.data[1]") -> str:
-    path.write_text(
-        f'arm_lengths = [0.2, 0.3]\n[time]\ncolumn = "{time}"\n[angles]\ncolumns = ["/encoders.data[0]", "{second}"]\n'
-    )
-    return str(path)
+    columns = '["/encoders.data[0]", "/encoders.data[1]"]'
+    text = f'arm_lengths = [0.2, 0.3]\n[time]\ncolumn = "{time}"\n[angles]\ncolumns = {columns}\n{more}'
+    (folder / "bench.toml").write_text(text)
+    return folder / "rig.mcap", str(folder / "bench.toml")
 
 
 @pytest.mark.parametrize("time", ["log_time", "/encoders.stamp"])
 def test_an_mcap_file_of_a_rigs_own_messages_is_imported(tmp_path: Path, time: str) -> None:
-    mapping = encoder_mapping(tmp_path / "bench.toml", time=time)
-    found = import_recording(encoders(tmp_path / "rig.mcap", "ros2msg"), mapping)
+    chat = ("/chat", "text", "", [(moment, b"?") for moment in MOMENTS])
+    found = import_recording(*rig_file(tmp_path, encoders(), chat, time=time))
     assert np.allclose(found.angles, ANGLES, atol=1e-12)
     assert found.dt == pytest.approx(PERIOD)
 
 
-TWO = (
-    ("rig_msgs/msg/Encoders", "ros2msg", b"float64[] data\n"),
-    ("rig_msgs/msg/Rail", "ros2msg", b"float64 x\n"),
-)
-"""Name, language and text of the definitions of two topics."""
-
-
-def two_topics(path: Path, *, late: float) -> str:
-    """Write encoders, and a rail that begins late and covers 200 of their samples; return the mapping."""
-    with path.open("wb") as target:
-        writer = Writer(target)
-        writer.start(profile="ros2", library="rig")
-        schemas = [writer.register_schema(*about) for about in TWO]
-        encoders, cart = (
-            writer.register_channel(f"/{name}", "cdr", schema)
-            for name, schema in zip(("encoders", "rail"), schemas, strict=True)
-        )
-        for k, angles in enumerate(ANGLES):
-            moment = START * 10**9 + round(1e9 * PERIOD * k)
-            writer.add_message(encoders, moment, b"\0\1\0\0" + (2).to_bytes(8, "little") + angles.tobytes(), 0)
-            if k < 200:
-                moved = b"\0\1\0\0" + np.float64(0.1 * k).tobytes()
-                writer.add_message(cart, moment + round(1e9 * late), moved, 0)
-        writer.finish()
-    mapping = path.with_suffix(".toml")
-    encoder_mapping(mapping)
-    mapping.write_text(f'{mapping.read_text()}[cart]\nposition = "/rail.x"\n')
-    return str(mapping)
-
-
 def test_a_bag_is_imported_where_all_its_topics_have_values(tmp_path: Path) -> None:
-    mapping = two_topics(tmp_path / "rig.mcap", late=0.0002)
+    """The rail begins 0.2 ms late and covers 200 samples of the encoders."""
+    moved = [(MOMENTS[k] + 200_000, b"\0\1\0\0" + np.float64(0.1 * k).tobytes()) for k in range(200)]
+    rail = ("/rail", "cdr", "float64 x\n", moved)
+    file, mapping = rig_file(tmp_path, encoders(), rail, more='[cart]\nposition = "/rail.x"\n')
     with pytest.warns(Remark, match="left out 202 ms, for which some topics have no values"):
-        found = import_recording(tmp_path / "rig.mcap", mapping)
+        found = import_recording(file, mapping)
     # The last message of the rail is 0.2 ms after sample 199.
     assert np.allclose(found.angles, ANGLES[1:200], atol=1e-12)
-    assert found.cart is not None
     assert np.allclose(found.cart, 0.1 * (np.arange(1, 200) - 0.1), atol=1e-9)
     assert not found.notes
-
-
-@pytest.mark.parametrize(("arms", "has_rates"), [(1, False), (3, True)])
-def test_a_log_is_imported_with_all_its_arms(tmp_path: Path, arms: int, has_rates: bool) -> None:
-    angles = np.column_stack([ANGLES, ANGLES[:, :1]])[:, :arms]
-    rates = np.gradient(angles, PERIOD, axis=0)
-    with LogWriter(
-        tmp_path / "run.mcap", arm_lengths=(0.1, 0.2, 0.3)[:arms], rate_hz=1 / PERIOD, has_cart=False
-    ) as writer:
-        writer.ticks(TIME, measured=angles, rates=rates if has_rates else None)
-    found = import_recording(tmp_path / "run.mcap")
-    assert np.allclose(found.angles, angles, atol=1e-12)
-    assert (found.rates is not None) == has_rates
-    assert found.cart is None

@@ -1,6 +1,5 @@
 """Malformed recordings are each refused with one clear sentence, and nothing is written."""
 
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -67,17 +66,6 @@ def cut_parquet(folder: Path, random: Random) -> Path:
     return cut(folder / "swing.parquet", random)
 
 
-def huge(folder: Path, random: Random) -> Path:
-    file = write_mat(folder / "swing.mat", rig_variables())
-    data = bytearray(file.read_bytes())
-    # The dimensions of the first variable, a cell array: 128 bytes of header, the tags of matrix and flags before them.
-    place = 128 + 8 + 16 + 8
-    assert data[place : place + 8] == struct.pack("<2i", 2, 1)
-    data[place : place + 8] = struct.pack("<2i", int(random.integers(10**6, 2**31 - 1)), int(random.integers(1, 2**20)))
-    file.write_bytes(bytes(data))
-    return file
-
-
 MAKERS: dict[str, Maker] = {
     "cut": lambda folder, random: cut(write_mat(folder / "swing.mat", rig_variables()), random),
     "garbage for MATLAB 5": garbage(".mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"),
@@ -85,7 +73,6 @@ MAKERS: dict[str, Maker] = {
     "garbage for a table": garbage(".csv"),
     "garbage for a bag": garbage(".bag", b"#ROSBAG V2.0\n"),
     "garbage for MCAP": garbage(".mcap", b"\x89MCAP0\r\n"),
-    "huge": huge,
     "transposed": cell("Y_id", lambda values, _: values.T),
     "rates first": cell("Y_id", lambda values, _: values[[2, 3, 0, 1]]),
     "not finite": cell("Y_id", lambda values, _: np.where(values > values.mean(), values, np.nan)),

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shadowing_stand_in import StandIn
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.plans.plan import Plan
-from dpcontrol.references.content import FlightSegment, PlanContent, StaySegment, restored, stored
+from dpcontrol.references.content import FlightSegment, PlanContent, StaySegment, stored
 from dpcontrol.references.reference import Reference, load_reference, save_reference
 
 
@@ -44,12 +43,6 @@ def test_the_orbits_of_a_walk_close_after_their_period(plan: Plan) -> None:
         assert np.abs(end - orbit.state).max() < 1e-9  # of the search: 1e-12, grown by the multiplier
 
 
-def test_a_plan_with_unknown_parts_is_refused(plan: Plan) -> None:
-    notes, arrays = stored(plan.content)
-    with pytest.raises(ValueError, match="stay"):
-        restored({**notes, "stay": {"kind": "orbit", "orbit": "down-up"}}, arrays, arms=2)
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -70,8 +63,7 @@ def test_a_content_that_contradicts_itself_is_refused(plan: Plan, change: Any) -
 
 
 @pytest.fixture
-def stored_turn(turn: tuple[StandIn, Reference], tmp_path: Path) -> tuple[Reference, Path]:
-    reference = turn[1]
+def stored_turn(reference: Reference, tmp_path: Path) -> tuple[Reference, Path]:
     path = tmp_path / "turn.npz"
     save_reference(path, reference)
     return reference, path

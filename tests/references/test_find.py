@@ -1,3 +1,5 @@
+"""References are found with the accuracy that they report, and failures are reported with their cause."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -8,27 +10,29 @@ from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, StandIn, orbit_stretch
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.references.find import find_reference, on_mesh, split_mesh
-from dpcontrol.references.method import radau
+from dpcontrol.foundation.causes import ObstacleCause, ReferenceCause
+from dpcontrol.references.ending import Obstacle
+from dpcontrol.references.find import find_reference, raise_friction, split_mesh
+from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import error_between_nodes, first_trajectory, largest_on_intervals
+from dpcontrol.references.trajectory import first_trajectory
 from dpcontrol.references.transcription import solve
 
 TOLERANCE = 1e-6  # Required error between nodes, scaled.
 LIMIT = 1e-9  # Allowed violation of a limit.
 EXACT = 1e-12  # Fixed ends are constants of the program.
 EQUATIONS = arm_chain_equations(2, Level.CART)
+QUICK = ReferenceSettings(method="radau-7", interval=0.05, iterations=60)
 
 
-def stretch_problem(limits: Limits | None = None, duration: float = 0.7) -> ReferenceProblem:
-    orbit = orbit_stretch(duration)
-    return ReferenceProblem(EQUATIONS, LAB.base(), orbit.guess, orbit.duration, limits or Limits())
+def stretch_problem(limits: Limits | None = None, *, duration: float = 0.7, friction: float = 1.0) -> ReferenceProblem:
+    """Return the problem of following a stretch of an orbit with scaled friction of the arms."""
+    arms = replace(LAB, viscous=tuple(friction * k for k in LAB.viscous))
+    return ReferenceProblem(EQUATIONS, arms.base(), orbit_stretch(duration).guess, duration, limits or Limits())
 
 
-def test_error_between_nodes_agrees_with_an_independent_integrator(
-    tracked: tuple[StandIn, Reference],
-) -> None:
+def test_error_between_nodes_agrees_with_an_independent_integrator(tracked: tuple[StandIn, Reference]) -> None:
     _, reference = tracked
     assert reference.converged, reference.status
     rate = quick_rate(EQUATIONS)
@@ -36,22 +40,15 @@ def test_error_between_nodes_agrees_with_an_independent_integrator(
     worst = 0.0
     for i in range(0, len(reference.mesh) - 1, 23):
         start, end = reference.mesh[i], reference.mesh[i + 1]
-        curve = Polynomial.fit(
-            start + (end - start) * reference.method.points,
-            reference.inputs[i, :, 0],
-            len(reference.method.points) - 1,
-            domain=[start, end],
-        )
+        places, values = start + (end - start) * reference.method.points, reference.inputs[i, :, 0]
+        curve = Polynomial.fit(places, values, len(places) - 1, domain=[start, end])
         times = np.linspace(start, end, 33)
-        flow = solve_ivp(
-            lambda t, x, curve=curve: np.array(rate(x, curve(t), LAB.base())).ravel(),
-            (start, end),
-            reference.states[i, 0],
-            t_eval=times,
-            method="DOP853",
-            rtol=1e-12,
-            atol=1e-12,
-        )
+
+        def slope(t: float, x: np.ndarray, curve: Polynomial = curve) -> np.ndarray:
+            return np.array(rate(x, curve(t), LAB.base())).ravel()
+
+        tight = {"t_eval": times, "method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
+        flow = solve_ivp(slope, (start, end), reference.states[i, 0], **tight)
         # The last time belongs to the next interval.
         worst = max(worst, float((np.abs(flow.y.T - reference.state(times)) / scale).max()))
     # The two methods use different points between the nodes.
@@ -59,18 +56,14 @@ def test_error_between_nodes_agrees_with_an_independent_integrator(
     assert max(worst, reference.max_error_between_nodes) <= TOLERANCE
 
 
-def test_reference_starts_and_ends_on_the_orbit_with_the_cart_at_rest_in_the_middle(
-    tracked: tuple[StandIn, Reference],
-) -> None:
+def test_a_reference_starts_and_ends_on_the_orbit_with_the_cart_at_rest(tracked: tuple[StandIn, Reference]) -> None:
     orbit, reference = tracked
     for time in (0.0, orbit.duration):
         assert reference.state(time) == pytest.approx([*orbit.guess(time), 0.0, 0.0], abs=EXACT)
     assert reference.duration == pytest.approx(orbit.duration, abs=EXACT)
 
 
-def test_reference_stays_near_the_orbit_at_the_effort_of_friction(
-    tracked: tuple[StandIn, Reference],
-) -> None:
+def test_reference_stays_near_the_orbit_at_the_effort_of_friction(tracked: tuple[StandIn, Reference]) -> None:
     orbit, reference = tracked
     times = np.linspace(0.0, reference.duration, 5001)
     away = reference.state(times)[:, :2] - orbit.guess(times)[:, :2]
@@ -105,21 +98,6 @@ def test_an_active_limit_holds_between_the_nodes(name: str) -> None:
     assert np.abs(curve).max() > 0.95 * bound
 
 
-def test_a_coarse_mesh_has_errors_between_nodes_despite_exact_nodes() -> None:
-    problem, method = stretch_problem(), radau(5)
-    errors = {}
-    for intervals in (5, 10, 20):
-        first = first_trajectory(problem, method, np.linspace(0.0, problem.duration, intervals + 1))
-        solved = solve(problem, first, settings=ReferenceSettings(), limits=problem.limits)
-        assert solved.succeeded
-        assert solved.violation < 1e-9
-        errors[intervals] = error_between_nodes(problem, solved.trajectory).max()
-    assert errors[5] > 100 * TOLERANCE
-    # The order is at least five, a factor of 32 per halving. Coarse meshes are not yet asymptotic.
-    assert errors[5] / errors[10] > 10
-    assert errors[10] / errors[20] > 20
-
-
 def test_refinement_splits_until_the_tolerance_holds() -> None:
     reference = find_reference(stretch_problem(), ReferenceSettings(interval=0.1, tolerance=1e-8))
     assert reference.converged, reference.status
@@ -133,17 +111,61 @@ def test_splitting_keeps_accurate_intervals() -> None:
     assert mesh == pytest.approx([0.0, 1.0, 1.5, 2.0, 2.25, 2.5, 2.75, 3.0])
 
 
-def test_a_trajectory_on_a_finer_mesh_is_the_same_polynomial() -> None:
-    problem, method = stretch_problem(), radau(5)
-    coarse = first_trajectory(problem, method, np.linspace(0.0, problem.duration, 8))
-    fine = on_mesh(coarse, np.sort(np.concatenate([coarse.mesh, [0.03, 0.31]])))
-    again = on_mesh(fine, coarse.mesh)
-    # Both halves have the same polynomial of degree five.
-    assert again.states == pytest.approx(coarse.states, abs=1e-5)
-    assert fine.states[0, 0] == pytest.approx(coarse.states[0, 0], abs=EXACT)
+EQUATIONS = arm_chain_equations(2, Level.CART)
 
 
-def test_the_largest_value_between_samples_is_computed() -> None:
-    points = radau(5).points
-    curve = Polynomial([0.0, 4.0, -4.0])
-    assert largest_on_intervals(points, curve(points)[None, :], above=0.5) == pytest.approx(1.0, abs=EXACT)
+def test_a_converged_solution_with_another_motion_is_refused() -> None:
+    orbit = orbit_stretch(0.7)
+    turned = np.array([0.0, 0.0, 0.0, 9.0])
+    # At both ends it is the orbit; in between, the outer arm has an impossible position.
+    guess = lambda t: orbit.guess(t) + np.outer(np.sin(np.pi * np.asarray(t) / 0.7), turned)  # noqa: E731
+    problem = replace(stretch_problem(), guess=guess)
+    first = first_trajectory(problem, method_named("radau-7"), np.linspace(0.0, 0.7, 15))
+    assert solve(problem, first, settings=QUICK, limits=problem.limits).succeeded
+    found = find_reference(problem, QUICK)
+    assert not found.converged
+    assert found.ending.cause is ReferenceCause.OTHER_MOTION
+
+
+def test_continuation_in_friction_gives_the_solution_of_a_cold_start() -> None:
+    problem = stretch_problem(friction=10.0)
+    first = first_trajectory(problem, method_named("radau-7"), np.linspace(0.0, 0.7, 15))
+    cold = solve(problem, first, settings=QUICK, limits=problem.limits)
+    share, raised = raise_friction(problem, first, settings=QUICK, limits=problem.limits)
+    assert share == 1.0
+    assert raised.cost == pytest.approx(cold.cost, rel=1e-6)
+    # The arms' own friction costs far less.
+    own = find_reference(stretch_problem(), QUICK)
+    assert raised.cost > 10 * own.rms_cart_acceleration**2 * own.duration
+
+
+@pytest.mark.slow
+def test_excessive_friction_is_reported_with_the_share_that_can_be_compensated() -> None:
+    found = find_reference(stretch_problem(duration=0.75, friction=60.0), QUICK)
+    assert not found.converged
+    obstacle = found.ending.obstacle
+    assert obstacle.cause is ObstacleCause.FRICTION
+    share = obstacle.share
+    assert 0.1 < share < 0.9
+    assert find_reference(stretch_problem(duration=0.75, friction=0.9 * share * 60.0), QUICK).converged
+
+
+@pytest.mark.parametrize("without", ["S", "G and S"])
+def test_a_cart_without_authority_is_reported(without: str) -> None:
+    problem = stretch_problem(duration=0.5)
+    parameters = problem.parameters.copy()
+    names = [str(symbol) for symbol in EQUATIONS.parameters.elements()]
+    for k, name in enumerate(names):
+        if name[0] in without:
+            parameters[k] = 0.0
+    found = find_reference(replace(problem, parameters=parameters), QUICK)
+    assert not found.converged
+    assert found.ending.obstacle == Obstacle(ObstacleCause.AUTHORITY)
+
+
+def test_a_limit_that_is_too_tight_is_reported_with_its_time() -> None:
+    free = find_reference(stretch_problem(), QUICK)
+    found = find_reference(stretch_problem(Limits(position=1e-5)), QUICK)
+    assert not found.converged
+    (use,) = found.ending.obstacle.uses
+    assert abs(free.state(use.time)[4]) == pytest.approx(free.max_cart_position, rel=1e-3)

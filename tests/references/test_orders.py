@@ -1,4 +1,4 @@
-"""Orders of convergence of the collocation equations as an initial-value problem.
+"""Radau's methods, and orders of convergence of the collocation equations as an initial-value problem.
 
 Source: Hairer & Wanner, Solving Ordinary Differential Equations II, section IV.5 (orders at the ends of
 steps).
@@ -10,10 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
+from scipy.special import roots_jacobi
 from shadowing_stand_in import LAB, orbit_stretch
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.references.method import Method, method_named
+from dpcontrol.references.method import Method, method_named, radau
 from dpcontrol.references.problem import Limits, ReferenceSettings, state_scale
 from dpcontrol.references.transcription import interval_function
 
@@ -74,3 +75,20 @@ def test_errors_at_the_ends_of_intervals_have_the_order_of_the_method(name: str,
     seen = errors[errors > ROUNDING]
     assert len(seen) >= 2
     assert np.log2(seen[-2] / seen[-1]) == pytest.approx(method.order, abs=NEAR_THEORY)
+
+
+SUMMED = 1e-12  # Sums of a few terms of order ten in double precision.
+
+
+@pytest.mark.parametrize("count", range(2, 9))
+def test_radau_methods_have_jacobis_points_and_are_exact_for_polynomials(count: int) -> None:
+    method = radau(count)
+    zeros, _ = roots_jacobi(count - 1, 1.0, 0.0)
+    assert method.points == pytest.approx([*((zeros + 1) / 2), 1.0], abs=SUMMED)
+    for degree in range(2 * count - 1):
+        assert method.weights @ method.points**degree == pytest.approx(1 / (degree + 1), abs=SUMMED)
+    assert method.weights @ method.points ** (2 * count - 1) != pytest.approx(1 / (2 * count), abs=1e-9)
+    curve = np.polynomial.Polynomial(np.cos(np.arange(count + 1.0)))
+    values = curve(method.support)
+    assert method.differentiation @ values == pytest.approx(curve.deriv()(method.points), abs=100 * SUMMED)
+    assert method.end @ values == pytest.approx(curve(1.0), abs=SUMMED)

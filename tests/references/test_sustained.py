@@ -185,18 +185,6 @@ def test_section_multipliers_belong_to_the_saddle_the_energy_and_the_cart(saddle
     assert np.sort(np.abs(np.linalg.eigvals(product)))[0] < 1e-10
 
 
-def test_the_orbit_crosses_sections_only_at_their_times() -> None:
-    orbit = sustained("down-up", 0.2)
-    times = np.arange(20000) / 20000 * orbit.period
-    for section in orbit.sections(5):
-        late = lateness(section, orbit.state(times))
-        # Only near the section, because the plane also intersects the far side of the orbit.
-        near = np.abs(times - section.time) < orbit.period / 10
-        assert (np.sign(late[near]) == np.sign(times[near] - section.time)).all()
-        assert lateness(section, orbit.state(section.time + 1e-5)) == pytest.approx(1e-5, rel=1e-3)
-        assert lateness(section, section.state + np.array([0, 0, 0, 0, 0.1, 0.1])) == 0.0
-
-
 @pytest.mark.parametrize(
     ("saddle", "energy", "friction"),
     [("down-up", -0.175429, 1.0), ("up-down", 0.1755, 1.0), ("down-up", 0.2, 5.0)],

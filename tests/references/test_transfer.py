@@ -9,7 +9,6 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.plans.layout import GENTLE, SHORTEST, Pace
 from dpcontrol.plans.model import load_model
 from dpcontrol.plans.transfers import ROOM, Transfer, find_transfer
-from dpcontrol.references.find import smooth_guess
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import joined, still
@@ -37,7 +36,8 @@ def test_a_swing_up_satisfies_the_equations_of_motion(swing_up):
     assert np.abs(swing_up.state(0.0) - HANGING).max() < 1e-12
     assert np.abs(swing_up.state(swing_up.duration) - UP).max() < 1e-9
     for name, bound in Limits().named().items():
-        assert swing_up.largest[name] <= bound + 1e-9
+        # A gentle transfer leaves room for feedback.
+        assert swing_up.largest[name] <= ROOM * bound + 1e-9
     assert gaps(swing_up, LAB).max() < 1e-6
 
 
@@ -50,12 +50,6 @@ def test_an_impossible_transfer_is_reported_with_the_cause():
 
 
 @pytest.mark.slow
-def test_a_gentle_transfer_leaves_room_for_feedback(swing_up):
-    for name, bound in Limits().named().items():
-        assert swing_up.largest[name] <= ROOM * bound + 1e-9
-
-
-@pytest.mark.slow
 def test_a_transfer_takes_the_time_that_was_asked_for_or_the_shortest_one(swing_up):
     given = find_transfer(swing(2.2))
     assert given.duration == pytest.approx(2.2)
@@ -63,9 +57,8 @@ def test_a_transfer_takes_the_time_that_was_asked_for_or_the_shortest_one(swing_
     assert shortest.duration < 1.5 < given.duration < swing_up.duration
     for found in (given, shortest):
         assert gaps(found, LAB).max() < 1e-6
-        assert found.state(found.duration)[:2] / np.pi == pytest.approx(
-            np.rint(found.state(found.duration)[:2] / np.pi)
-        )
+        halves = found.state(found.duration)[:2] / np.pi
+        assert halves == pytest.approx(np.rint(halves))
 
 
 @pytest.mark.parametrize("pace", [GENTLE, 2.0])
@@ -82,17 +75,6 @@ def test_arms_of_any_size_get_the_same_motion(pace):
     scaled = large.state(times * time) / [1.0, 1 / time, size, time]
     assert np.abs(scaled - small.state(times)).max() < SAME_MOTION * max(1.0, np.abs(scaled).max())
     assert np.abs(large.input(times * time) - small.input(times)).max() < SAME_MOTION * np.abs(small.inputs).max()
-
-
-def test_the_guess_turns_the_arms_smoothly():
-    start, end = np.array([0.1, -0.2, 3.0, 4.0]), np.array([2.0, 1.0, -5.0, 6.0])
-    guess = smooth_guess(start, end, 1.7)
-    times = np.linspace(0, 1.7, 4001)
-    states = guess(times)
-    assert states[0] == pytest.approx([0.1, -0.2, 0, 0], abs=1e-14)
-    assert states[-1] == pytest.approx([2.0, 1.0, 0, 0], abs=1e-12)
-    slope = np.gradient(states[:, :2], times, axis=0)
-    assert np.abs(slope - states[:, 2:])[1:-1].max() < 1e-4
 
 
 @pytest.mark.slow

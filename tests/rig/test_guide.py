@@ -17,7 +17,6 @@ from dpcontrol.rig.packets import CommandPacket, Condition, Kind, ReadingPacket,
 
 GUIDE = Path(dpcontrol.__file__).parent / "guide"
 PAGE = (GUIDE / "packets.md").read_text(encoding="utf-8")
-RIG = (GUIDE / "rig.md").read_text(encoding="utf-8")
 BENCH = Path(dpcontrol.__file__).parent / "examples" / "bench.c"
 PACKETS = PAGE.split("\n## Packets\n")[1].split("\n## ")[0]
 SECTIONS = {text.split("\n", 1)[0]: text for text in PACKETS.split("\n### ")[1:]}

@@ -35,14 +35,6 @@ def test_a_frame_holds_its_packet_without_zeros_and_shows_each_wrong_bit(packet:
     assert unframed(bytes(bits)) in (b"", packet[:0])
 
 
-@pytest.mark.parametrize(
-    "text", ["serial://", "serial:///dev/ttyACM0?baud=fast", "serial:///dev/ttyACM0?baud=1", "serial:/x"]
-)
-def test_an_address_in_another_form_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="serial"):
-        dp.rig_link(text)
-
-
 def test_a_line_gives_whole_packets_whatever_comes_between_them() -> None:
     ours, theirs = os.openpty()
     with closing(SerialLine(os.ttyname(theirs), 1_000_000)) as line:

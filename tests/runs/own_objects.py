@@ -54,9 +54,11 @@ class Filter:
 class Judged(Filter):
     """The same with its standard deviations."""
 
+    estimate = None
+
     @property
     def sigmas(self):
-        return np.ones(6) if getattr(self, "estimate", None) is None else self.estimate.sigmas
+        return np.ones(6) if self.estimate is None else self.estimate.sigmas
 
 
 class Arms:
@@ -73,10 +75,9 @@ class Arms:
 class Rig:
     """The same arms behind their encoders: a command acts in the period after the next reading."""
 
-    def __init__(self, *, fails_at: int = -1, value: object = None) -> None:
+    def __init__(self) -> None:
         self.model, self.state = sampled_model(LAB, 1000.0), dp.plan("outer-turn").reference.state(0.0)
         self.on_its_way, self.acting, self.count, self.stopped = 0.0, 0.0, 0, 0
-        self.fails_at, self.value = fails_at, value
 
     @property
     def truth(self):
@@ -87,7 +88,7 @@ class Rig:
             self.state = self.model.step(self.state, self.acting)
             self.acting = self.on_its_way
         self.count += 1
-        return self.value if self.count == self.fails_at else self.state[[0, 1, 4]]
+        return self.state[[0, 1, 4]]
 
     def command(self, acceleration: float) -> None:
         self.on_its_way = acceleration

@@ -15,10 +15,11 @@ from scipy.stats import norm
 
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.progress import no_progress
 from dpcontrol.foundation.statistics import paired, wilson
-from dpcontrol.plans.itinerary import Itinerary, load_itinerary
-from dpcontrol.plans.plan import make_plan
-from dpcontrol.runs import campaign as campaign_jobs, campaign as workers
+from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.plan import Plan
+from dpcontrol.runs import campaign as workers
 from dpcontrol.runs.campaign import (
     LEVELS,
     STANDARD,
@@ -36,31 +37,25 @@ HARD = {"mismatch": 0.15, "initial_error": 0.1}
 """Bench on which some runs fail and some do not."""
 
 
-@pytest.fixture(scope="module")
-def turn() -> Itinerary:
-    """The outer turn, planned."""
-    scene = load_itinerary("outer-turn")
-    make_plan(scene)
-    return scene
-
-
 def read_rows(file: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """A campaign's rows in order, and its metadata, as others read them."""
     table = pq.read_table(file)
     return table.to_pylist(), json.loads(table.schema.metadata[b"dpcontrol.campaign"])
 
 
-def campaign(scene: Itinerary, file: Path, *, over: dict[str, Any] | None = None, **settings: Any) -> Campaign:
-    cases = cases_of(scene, fixed=HARD, over=over or {})
-    chosen = CampaignSettings(**{"runs": 12, "workers": 1, "batch": 4, "replayed": 1, **settings})
-    return run_campaign(make_plan(scene), cases, file, settings=chosen)
+def campaign(
+    plan: Plan, file: Path, *, over: dict[str, Any] | None = None, progress: Any = no_progress, **settings: Any
+) -> Campaign:
+    cases = cases_of(plan.itinerary, fixed=HARD, over=over or {})
+    chosen = CampaignSettings(**{"runs": 16, "workers": 1, "batch": 4, "replayed": 1, **settings})
+    return run_campaign(plan, cases, file, settings=chosen, progress=progress)
 
 
 @pytest.fixture(scope="module")
-def undisturbed(turn: Itinerary, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+def undisturbed(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     """The rows of 16 runs in four jobs, by one process that nothing happened to."""
     file = tmp_path_factory.mktemp("campaign") / "whole.parquet"
-    campaign(turn, file, runs=16)
+    campaign(plan, file)
     return read_rows(file)[0]
 
 
@@ -84,11 +79,10 @@ def test_pairs_are_counted_by_seed_and_judged_by_mcnemars_sum() -> None:
 
 
 @pytest.mark.slow
-def test_cases_run_the_same_seeds_and_are_compared_in_pairs(turn: Itinerary, tmp_path: Path) -> None:
+def test_cases_run_the_same_seeds_and_are_compared_in_pairs(plan: Plan, tmp_path: Path) -> None:
     file = tmp_path / "pairs.parquet"
-    found = campaign(
-        turn, file, over={"controller": ["tvlqr", "feedforward"]}, runs=8, batch=8, first_seed=5, replayed=4
-    )
+    over = {"controller": ["tvlqr", "feedforward"]}
+    found = campaign(plan, file, over=over, runs=8, batch=8, first_seed=5, replayed=4)
     rows, metadata = read_rows(file)
     seeds = [[row["seed"] for row in rows if row["controller"] == name] for name in ("tvlqr", "feedforward")]
     assert seeds == [list(range(5, 13))] * 2
@@ -108,35 +102,32 @@ def test_cases_run_the_same_seeds_and_are_compared_in_pairs(turn: Itinerary, tmp
 
 @pytest.mark.slow
 def test_an_interrupted_campaign_continues(
-    turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plan: Plan, undisturbed: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "stopped.parquet"
-    cases = cases_of(turn, fixed=HARD, over={})
-    settings = CampaignSettings(runs=16, workers=1, batch=4, replayed=1)
 
     def stop(what: str, done: float) -> None:
         if what.startswith("2 of"):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(make_plan(turn), cases, file, settings=settings, progress=stop)
+        campaign(plan, file, progress=stop)
     # The files of finished jobs are a table.
     assert read_rows(file)[0] == undisturbed[:8]
     begun = []
     run_job = workers.run_job
     monkeypatch.setattr(workers, "run_job", lambda job: begun.append(job.key) or run_job(job))
-    run_campaign(make_plan(turn), cases, file, settings=settings)
+    campaign(plan, file)
     assert len(begun) == 2
     assert read_rows(file)[0] == undisturbed
     # A longer campaign uses the rows of the shorter one, whose last job it replaces if this has fewer seeds.
-    longer = CampaignSettings(runs=20, workers=1, batch=4, replayed=1)
-    assert run_campaign(make_plan(turn), cases, file, settings=longer).rows[:16] == tuple(undisturbed)
+    assert campaign(plan, file, runs=20).rows[:16] == tuple(undisturbed)
     assert len(begun) == 3
 
 
 @pytest.mark.slow
 def test_a_killed_process_changes_nothing_in_the_table(
-    turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path
+    plan: Plan, undisturbed: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     file, killed = tmp_path / "killed.parquet", []
 
@@ -146,12 +137,10 @@ def test_a_killed_process_changes_nothing_in_the_table(
             killed.append(process.pid)
             os.kill(process.pid, signal.SIGKILL)
 
-    cases = cases_of(turn, fixed=HARD, over={})
-    settings = CampaignSettings(runs=16, workers=2, batch=4, replayed=1)
     with pytest.raises(GoalMissed, match="run the same command again"):
-        run_campaign(make_plan(turn), cases, file, settings=settings, progress=kill)
+        campaign(plan, file, workers=2, progress=kill)
     assert killed
-    run_campaign(make_plan(turn), cases, file, settings=settings)
+    campaign(plan, file, workers=2)
     assert read_rows(file)[0] == undisturbed
 
 
@@ -165,8 +154,8 @@ def test_each_case_has_its_values_as_its_name() -> None:
         cases_of(load_itinerary("hold-down-down"), fixed={}, over={"lag": [0, 0.1, 0.0]})
 
 
-def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) -> None:
-    cases = standard_cases(turn, fixed={}, controllers=["tvlqr", "feedforward"])
+def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(plan: Plan) -> None:
+    cases = standard_cases(plan.itinerary, fixed={}, controllers=["tvlqr", "feedforward"])
     assert len(cases) == 2 * 9 * LEVELS == len({case.label for case in cases})
     by_kind = {
         kind.score: [c.loop for c in cases[: 9 * LEVELS] if dict(c.values)["kind"] == kind.score] for kind in STANDARD
@@ -180,12 +169,11 @@ def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) 
 
 
 @pytest.mark.slow
-def test_a_score_is_the_mean_share_over_the_kinds(turn: Itinerary, tmp_path: Path) -> None:
-    every = standard_cases(turn, fixed={}, controllers=["tvlqr"])
+def test_a_score_is_the_mean_share_over_the_kinds(plan: Plan, tmp_path: Path) -> None:
+    every = standard_cases(plan.itinerary, fixed={}, controllers=["tvlqr"])
     chosen = [case for case in every if dict(case.values)["level"] in (0.0, 20.0)]
-    found = run_campaign(make_plan(turn), chosen[-2:] + chosen[:2], tmp_path / "score.parquet",
-        settings=CampaignSettings(runs=2, workers=1, replayed=0),
-    )  # fmt: skip
+    settings = CampaignSettings(runs=2, workers=1, replayed=0)
+    found = run_campaign(plan, chosen[-2:] + chosen[:2], tmp_path / "score.parquet", settings=settings)
     (score,) = standard_scores(found.results)
     assert set(score.kinds) == {"encoder zeros", "model error"}
     assert all(share.runs == 4 for share in score.kinds.values())
@@ -196,8 +184,8 @@ def test_jobs_that_differ_in_a_setting_differ_in_their_keys() -> None:
     itinerary = load_itinerary("outer-turn")
     changes = ({}, {"mismatch": 0.5}, {"controller": "tvlqr"}, {"supervisor.lost_tracking": 1.0}, {"drive.lag": 0.001})
     keys = {
-        campaign_jobs.Job("turn", b"", itinerary.model.arms, case, (0,), "ticks").key
+        workers.Job("turn", b"", itinerary.model.arms, case, (0,), "ticks").key
         for change in changes
-        for case in [campaign_jobs.Case("", (), itinerary.with_run(change, seed=0).loop)]
+        for case in [workers.Case("", (), itinerary.with_run(change, seed=0).loop)]
     }
     assert len(keys) == len(changes)

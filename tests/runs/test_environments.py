@@ -31,12 +31,15 @@ LAST: dict[str, tuple[list[float], float]] = {
 """Observation after 25 steps with seed 2, and the return, as version 0 gave them when it was made."""
 
 
-@pytest.mark.filterwarnings("ignore:.*Box observation space")
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.filterwarnings("ignore:.*Box observation space", "error::DeprecationWarning")
+@pytest.mark.parametrize("name", [*NAMES, "the example"])
 def test_gymnasium_finds_nothing_wrong(name: str) -> None:
     from gymnasium.utils.env_checker import check_env
 
-    check_env(gymnasium.make(f"dpcontrol/{name}").unwrapped, skip_render_check=True)
+    from dpcontrol.examples.gym_env import BenchEnv
+
+    env = gymnasium.make(f"dpcontrol/{name}").unwrapped if name in NAMES else BenchEnv()
+    check_env(env, skip_render_check=True)
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,7 @@ from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.logs import read_log
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import make_plan
-from dpcontrol.runs.night import (
-    NightSettings,
-    night_itinerary,
-    run_night,
-)
+from dpcontrol.runs.night import NightSettings, night_itinerary, run_night
 
 TURN = load_itinerary("outer-turn")
 # As tests of recovery have it, with whose plan it is shared.

@@ -49,7 +49,6 @@ def test_one_wobble_more_at_a_stop_is_another_walk(turns: Plan) -> None:
     middle = (first + second) / 2
     longer, _ = joined([part(motion, 0.0, middle + period / 2), part(motion, middle - period / 2, motion.duration)])
     departed = departure(motion, longer)
-    assert departed
     assert (departed.cause, departed.stop) == (DepartureCause.WRAPS, 1)
 
 

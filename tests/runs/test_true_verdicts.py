@@ -30,11 +30,6 @@ def exact(plan: Plan) -> Flown:
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def outer_turn() -> Plan:
-    return make_plan(load_itinerary("outer-turn"))
-
-
 @pytest.mark.slow
 def test_a_wide_orbit_between_a_transfer_and_a_hold_is_a_stop() -> None:
     plan, random, found = make_plan(load_itinerary("two-energies")), np.random.default_rng(1), Comparison()
@@ -69,9 +64,9 @@ def test_drawn_itineraries_are_judged_as_a_second_decoder_judges_them(seed: int,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("on_fall", ["resume", "restart"])
-def test_runs_that_fall_and_go_on_are_judged_as_a_second_decoder_judges_them(on_fall: str, outer_turn: Plan) -> None:
+def test_runs_that_fall_and_go_on_are_judged_as_a_second_decoder_judges_them(on_fall: str, plan: Plan) -> None:
     options = {"on_fall": on_fall, "knocks_per_minute": 20.0, "knock_impulse": 0.05, "travel": 0.8, "mismatch": 0.05}
-    plan = replace(outer_turn, itinerary=outer_turn.itinerary.with_run(options))
+    plan = replace(plan, itinerary=plan.itinerary.with_run(options))
     found = Comparison()
     found.add(plan, options, [0, 1], np.random.default_rng(0))
     assert not found.false
@@ -92,32 +87,31 @@ def test_a_run_from_rest_is_judged_from_its_first_transfer_on() -> None:
     assert not found.false
 
 
-def test_an_itinerary_on_an_orbit_asks_for_its_start(outer_turn: Plan) -> None:
-    flown = exact(outer_turn)
+def test_an_itinerary_on_an_orbit_asks_for_its_start(plan: Plan) -> None:
+    flown = exact(plan)
     states = flown.states.copy()
     states[:, 0] += np.pi * (flown.time < 0.05)
-    assert verdict_on(replace(flown, states=states), outer_turn.reference).fault is Fault.NOT_BEGUN
+    assert verdict_on(replace(flown, states=states), plan.reference).fault is Fault.NOT_BEGUN
 
 
-def test_a_run_of_another_plan_is_not_completed(outer_turn: Plan) -> None:
+def test_a_run_of_another_plan_is_not_completed(plan: Plan) -> None:
     """The same turn the other way round, and the arms exchanged."""
-    flown = exact(outer_turn)
-    assert verdict_on(flown, outer_turn.reference).completed
+    flown = exact(plan)
+    assert verdict_on(flown, plan.reference).completed
     mirrored = flown.states.copy()
     mirrored[:, 1] = 2 * np.pi - mirrored[:, 1]
     mirrored[:, 0] *= -1
     for states in (mirrored, flown.states[:, [1, 0, 3, 2, 4, 5]]):
         other = replace(flown, states=states, reference_angles=states[:, :2])
-        assert not verdict_on(other, outer_turn.reference).completed
+        assert not verdict_on(other, plan.reference).completed
 
 
-def test_a_reference_that_does_not_do_its_itinerary_is_refused_with_what_to_change(outer_turn: Plan) -> None:
-    reference = outer_turn.reference
+def test_a_reference_that_does_not_do_its_itinerary_is_refused_with_what_to_change(plan: Plan) -> None:
+    reference = plan.reference
     assert shortfall(reference) is None
     content = reference.content
     stops = content.stops[0], replace(content.stops[1], angles=(0.0, 5 * np.pi))
     far = shortfall(replace(reference, plan=replace(content, stops=stops)))
-    assert far
     assert (far.cause, far.stop, far.content.lead_out) == (ShortfallCause.FAR, 1, 2)
     short = reference.mesh[-1] - content.orbits[0].period * 2.5
     rows = int(np.searchsorted(reference.mesh, short))
@@ -125,5 +119,4 @@ def test_a_reference_that_does_not_do_its_itinerary_is_refused_with_what_to_chan
         reference, mesh=reference.mesh[: rows + 1], states=reference.states[:rows], inputs=reference.inputs[:rows]
     )
     missed = shortfall(cut)
-    assert missed
     assert missed.cause is ShortfallCause.LAST_FAR

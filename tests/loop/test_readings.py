@@ -1,4 +1,4 @@
-"""Arms without an encoder: their angle is ignored whatever a rig sends, and the others suffice for a hold."""
+"""Arms without an encoder, whose angle is ignored whatever a rig sends; readings of unknown and of reported age."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,14 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shadowing_stand_in import LAB
 
 import dpcontrol as dp
+from dpcontrol.control.estimator_settings import ADAPTIVE, EkfSettings
+from dpcontrol.control.tracking import AdaptiveSettings
 from dpcontrol.loop.assembly import Assembly
+from dpcontrol.loop.bench import DriveSettings, SensorSettings
+from dpcontrol.loop.loop import ControlLoop, LoopSettings
 from dpcontrol.loop.protocols import Reading
-from dpcontrol.loop.result import LoopResult
+from dpcontrol.loop.result import Ending, LoopResult
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan
+from dpcontrol.references.reference import Reference
 from dpcontrol.runs.run import assembled
 
 SCENE = 'title = "A hold"\nmodel = "lab"\nstart = "hold"\nhold = "up-up"\nseconds = {}\n[controller]\nkind = "lqr"\n'
@@ -54,12 +60,6 @@ def test_the_angle_of_an_arm_without_an_encoder_has_no_effect(estimator: str, tm
         assert ticks.estimates.tobytes() == runs[0].estimates.tobytes()
 
 
-@pytest.mark.parametrize("encoders", [(True,), (False, False), False])
-def test_encoders_that_do_not_suit_the_arms_are_refused(encoders: Any, tmp_path: Path) -> None:
-    with pytest.raises(dp.InputError, match="encoders = "):
-        hold(tmp_path, encoders, seconds=1.0)
-
-
 def test_a_model_names_the_encoders_that_an_observer_can_miss() -> None:
     """Compare with the rank of Kalman's matrix; a mass at the outer joint alone does not turn the inner arm."""
     lab, single = dp.describe("lab"), dp.describe("single")
@@ -81,3 +81,51 @@ def test_the_inner_angle_and_the_cart_suffice_to_hold_up_up(tmp_path: Path) -> N
     plan = hold(tmp_path, (True, False), seconds=5.0, mismatch=0.05)
     (held,) = dp.campaign(plan, runs=RUNS, workers=1).results
     assert held.completed.successes >= BAR
+
+
+PERIOD = 1e-3
+UNSTEADY = LoopSettings(
+    seed=5, mismatch=0.05, initial_error=0.05, travel=0.8, controller=AdaptiveSettings(),
+    estimator=EkfSettings(**ADAPTIVE), drive=DriveSettings(lag=0.005, command_noise=0.3),
+)  # fmt: skip
+SPREAD = 0.35
+"""Share by which the found deviation of the ages may miss the true one: arms at rest show none of it."""
+
+
+def on_the_turn(reference: Reference, sensors: SensorSettings) -> tuple[LoopResult, ControlLoop]:
+    settings = replace(UNSTEADY, sensors=sensors)
+    assembly = Assembly(reference, LAB, settings)
+    loop, start = assembly.loop(), assembly.controller.first_state
+    bench = SimulatedRig(assembly.draw(), settings.bench, limits=assembly.limits, start=start, queued=loop.queued)
+    return loop.run(bench), loop
+
+
+def deviation(loop: ControlLoop) -> float:
+    """Return the standard deviation of the readings' age that the loop has found, s."""
+    return float(np.sqrt(loop.ticker.program.memory.timing[0, 0]))
+
+
+def rate_errors(result: LoopResult) -> float:
+    truth = result.ticks.truth
+    return float(np.sqrt(np.mean((result.ticks.estimates - truth)[500:, 2:4] ** 2)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("jitter", [0.0, 1e-3])
+def test_the_spread_of_the_readings_ages_is_found(reference: Reference, jitter: float) -> None:
+    result, loop = on_the_turn(reference, SensorSettings(jitter=jitter))
+    assert result.ending is Ending.FINISHED
+    # Uniform ages: their variance is a twelfth of their span squared.
+    uniform = jitter / np.sqrt(12)
+    assert deviation(loop) == pytest.approx(uniform, rel=SPREAD, abs=0.02 * PERIOD)
+
+
+@pytest.mark.slow
+def test_a_reported_age_leaves_the_rates_as_good_as_without_jitter(reference: Reference) -> None:
+    jitter = SensorSettings(jitter=PERIOD)
+    steady, unknown, known = (
+        rate_errors(on_the_turn(reference, sensors)[0])
+        for sensors in (SensorSettings(), jitter, replace(jitter, ages="reported"))
+    )
+    assert known < 1.2 * steady
+    assert unknown > 1.5 * known
