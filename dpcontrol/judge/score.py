@@ -354,7 +354,7 @@ def counted(stretches: Sequence[Stretch], *, rate_hz: float) -> list[tuple[NDArr
 def spliced(flown: Flown, plan: Reference) -> Flown:
     """Return the counted part of a run on the plan's clock: each stretch up to the restart of a later one.
 
-    If no tick of the stretches counts, the motion is returned unchanged.
+    If no tick of the stretches counts, the whole motion counts.
 
     A stretch is an interval on the itinerary between falls. Symbols completed before a fall remain completed; of a
     repeated part the last stretch counts. Whole turns by which the arms were off the plan are removed.
@@ -371,7 +371,7 @@ def spliced(flown: Flown, plan: Reference) -> Flown:
         states[:, :n] -= turns
         pieces_by_stretch.append((times, states, flown.reference_angles[rows] - turns, flown.applied[rows]))
     if not pieces_by_stretch:
-        return flown
+        return replace(flown, stretches=())
     time, states, references, applied = (np.concatenate(parts) for parts in zip(*pieces_by_stretch, strict=True))
     return replace(flown, time=time, states=states, reference_angles=references, applied=applied, stretches=())
 
