@@ -20,6 +20,9 @@ from pathlib import Path
 import numpy as np
 from generated_scenes import Scene, sampled_scene
 from independent_decoder import plan_of
+from independent_orbits import unkept_orbits
+from independent_planner import missing_transfers
+from independent_tubes import missing_connections
 from ordinary_labs import sampled_lab
 from verdict_runs import disagreement, runs as flown_runs
 
@@ -31,6 +34,8 @@ from dpcontrol.references.reference import load_reference
 SAMPLERS: dict[str, Callable[[int], Scene]] = {"scene": sampled_scene, "lab": sampled_lab}
 LIMIT = 240.0
 """Processor time for planning one scene, s."""
+ATTEMPTS = 8
+"""Initial guesses of the independent planner for each transfer of a refused scene."""
 
 
 def _limit_time() -> None:
@@ -51,11 +56,12 @@ def planned_scene(scene: Scene, folder: Path) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class SceneRow:
-    """A scene with the outcome of its planning, its cautions and its runs."""
+    """A scene with the outcome of its planning, what independent searches do not find, its cautions and its runs."""
 
     seed: int
     outcome: str
     reason: str
+    unfound: tuple[str, ...] = ()
     cautions: dict[str, float] = field(default_factory=dict)
     runs: int = 0
     completed: int = 0
@@ -63,12 +69,17 @@ class SceneRow:
     false_verdicts: tuple[str, ...] = ()
 
 
+def unfound(file: Path) -> tuple[str, ...]:
+    """Return what a refused itinerary asks for and independent searches do not find either; takes minutes."""
+    return (*missing_connections(file), *unkept_orbits(file), *missing_transfers(file, attempts=ATTEMPTS))
+
+
 def scene_row(scene: Scene, folder: Path, runs: int) -> SceneRow:
     """Plan a scene, list its cautions, fly it, judge each run by its score and the independent decoder, and sum up."""
     outcome, reason = planned_scene(scene, folder)
     row = SceneRow(scene.seed, outcome, reason)
     if outcome != "planned":
-        return row
+        return replace(row, unfound=unfound(folder / f"{scene.name}.toml"))
     path, first = folder / scene.name, 1000 * scene.seed
     itinerary, reference = load_itinerary(f"{path}.toml"), load_reference(path.with_suffix(".npz"))
     limits = itinerary.loop.limits(reference.limits)

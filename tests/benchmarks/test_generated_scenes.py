@@ -5,10 +5,12 @@ from pathlib import Path
 import pytest
 from generated_scenes import sampled_scene
 from independent_decoder import last_gap, plan_of
+from independent_tubes import missing_connections
 from scene_tables import scene_row
 from scipy.stats import binom
 
 from dpcontrol.plans.itinerary import load_itinerary
+from dpcontrol.plans.model import load_model
 from dpcontrol.plans.plan import make_plan
 
 PLANNED, COMPLETED = 0.8, 0.97
@@ -34,6 +36,16 @@ def test_three_generated_scenes_are_planned_and_completed(tmp_path: Path) -> Non
     assert ready >= PLANNED * len(rows), f"{ready} of {len(rows)} scenes were planned"
     runs, done = sum(row.runs for row in rows), sum(row.completed for row in rows)
     assert done >= binom.ppf(RISK, runs, COMPLETED), f"{done} of {runs} runs were completed"
+
+
+@pytest.mark.benchmark
+@pytest.mark.parametrize(("energy", "missing"), [(-0.07, []), (-0.165, ["'down-up +' at -0.165 J"])])
+def test_the_second_search_finds_the_turns_that_there_are(energy: float, missing: list[str], tmp_path: Path) -> None:
+    """At -0.07 J eight connections are known; just above the saddle there are none."""
+    (tmp_path / "lab.toml").write_text(load_model("lab").text)
+    file = tmp_path / "turn.toml"
+    file.write_text(f'model = "lab.toml"\nenergy = {energy}\nwalk = ["down-up +"]\n')
+    assert missing_connections(file) == missing
 
 
 @pytest.mark.benchmark

@@ -1,5 +1,6 @@
 """Rotating orbits and their families, compared with independent values, scipy and symmetries."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from quick_rate import flown_by_scipy
@@ -121,3 +122,32 @@ def test_each_family_at_an_energy_is_followed_once(system, found):
     there = [m.period for m in folded.members if abs(m.energy + 0.06985) < 0.02]
     assert min(there) < 0.52
     assert max(there) > 0.75
+
+
+def test_multipliers_agree_with_finite_differences_of_the_poincare_map(system, found):
+    orbit = found[1, 0.2][-1]
+    energy = ca.Function("H", [system.equations.state, system.equations.parameters], [system.equations.hamiltonian])
+
+    def on_energy(angle, rate_2):
+        rate_1 = orbit.state[2]
+        for _ in range(30):
+            x = np.array([0.0, angle, rate_1, rate_2])
+            rate_1 -= (float(energy(x, system.parameters)) - orbit.energy) / system.numeric.gradient(x)[2]
+        return np.array([0.0, angle, rate_1, rate_2])
+
+    def returned(angle, rate_2):
+        x, t = on_energy(angle, rate_2), orbit.period
+        for _ in range(8):
+            end = system.propagator.flow(x, t)
+            t -= (end[0] - 2 * np.pi) / end[2]
+        end = system.propagator.flow(x, t)
+        return np.array([end[1], end[3]])
+
+    h = 1e-5
+    base = orbit.state[1], orbit.state[3]
+    columns = [
+        (returned(base[0] + a, base[1] + b) - returned(base[0] - a, base[1] - b)) / (2 * h) for a, b in ((h, 0), (0, h))
+    ]
+    matrix = np.array(columns).T
+    assert np.trace(matrix) == pytest.approx(orbit.trace, abs=1e-5)
+    assert np.linalg.det(matrix) == pytest.approx(1.0, abs=1e-5)

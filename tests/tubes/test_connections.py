@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from quick_rate import flown_by_scipy
 
 from dpcontrol.foundation.causes import CutCause, OpenEndCause
 from dpcontrol.orbits.cut import CutSettings, tube_cut
@@ -165,3 +166,15 @@ def test_parallel_cuts_without_intersections_are_not_failures(monkeypatch):
     crossings = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings)
     assert len(crossings.found) > 20
     assert crossings.failed == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", CONNECTIONS, ids=str)
+def test_windings_agree_with_an_independent_integration(found, key):
+    system = load_model("lab").system
+    for c in found[key].connections:
+        after, before = (flown_by_scipy(system, c.state, t) for t in (c.time_in, -c.time_out))
+        for state, saddle, turns in ((before, key[0], (0, 0)), (after, key[1], c.winding)):
+            home = system.equilibrium(saddle)[:2] + 2 * np.pi * np.asarray(turns)
+            # Orbits stay within a turn of their saddle's lattice point.
+            assert np.abs(state[:2] - home).max() < np.pi
