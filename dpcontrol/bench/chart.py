@@ -335,10 +335,10 @@ def find_border(
 
     Args:
         probe: function of a value, which tries it.
-        x: place of the border on its map.
-        line: name of the border.
-        near: value that works.
-        far: value that fails.
+        x: position of the border's line on its map.
+        line: name of this line.
+        near: value that is expected to work, which is tried first.
+        far: value that is expected to fail, which is tried second.
         predicted: value from theory, or None.
         ratio: largest final ratio of the sides.
         unit: restricts values to its multiples; the search ends at neighbours.

@@ -130,8 +130,8 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
 
     Args:
         orbit: orbit of the connections.
-        states: states found (N,).
-        truths: states to match.
+        states: states (N,) of the found connections on the section.
+        truths: true connections, of which the state in 113-bit arithmetic counts.
     """
     error = max(float(np.min(orbit.system.scaled_distance(np.array(states), exact))) for _, exact in truths)
     return error if error < 0.01 else float("inf")

@@ -227,7 +227,7 @@ def described_layout(path: Path, described: Mapping[str, str]) -> layout.TickLay
 
     Args:
         path: path of the log, for messages.
-        described: values of the record.
+        described: values of the metadata record `LAYOUT_RECORD`, by key.
     """
     if described.get("format") != layout.FORMAT:
         raise InputError(

@@ -242,7 +242,7 @@ def nearest_keeper(
         reference: planned reference, with the orbits of its plan.
         parameters: parameters of the model's arms.
         model: model of arms and drive from tick to tick.
-        flies: settings of the feedback.
+        flies: settings of the feedback that holds orbits.
 
     Raises:
         InputError: the reference is of other arms.

@@ -500,7 +500,12 @@ class JudgedTicks:
     """
 
     def __init__(self, count: int, runs: int, arms: int) -> None:
-        """Allocate room for all ticks of all runs; `_latest` holds states that are not yet transposed."""
+        """Allocate room for all ticks of all runs; `_latest` holds states that are not yet transposed.
+
+        `_truth` are the states of each run, and `_applied`, `_feedback` and `_nis` (K, S) the acting accelerations,
+        m/s², the feedback, m/s², and the NIS. `_done` is the number of stored ticks, and `_freedom` the number
+        of measured positions, by which the NIS is judged.
+        """
         n = 2 * arms + 2
         # A run's states are contiguous because they are read run by run.
         self._truth, self._latest = np.empty((runs, count, n)), np.empty((_TURN, n, runs))
@@ -602,7 +607,7 @@ class SinkBeside(LoopSink):
 
     def __init__(self, sink: LoopSink) -> None:
         # The thread starts at the first event, with the loop's priority at that time. A lower priority would block
-        # the interpreter on a busy computer.
+        # the interpreter on a busy computer. `_under_way` are the transfers that may not be finished, oldest first.
         self._sink, self._thread = sink, ThreadPoolExecutor(1, "log")
         self._under_way = deque[Future[None]]()
 

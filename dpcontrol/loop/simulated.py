@@ -217,9 +217,10 @@ class SimulatedPlant:
     def __init__(self, plants: list[PlantParameters], state: Array, *, track: float) -> None:
         """Compile the plant's step, and allocate its inputs, whose rows hold state, duration, demand and parameters.
 
-        `_machine` writes the state at the end of a step into `_flown`; `_following` is the same memory, without lanes
-        for one run. `longest` is the longest step that is accurate, s, and `_lasts` the duration now in the inputs, s.
-        `cart` and `motor` are the indices of their positions in the state.
+        `_inputs` are the inputs of the step, of which `_states` are the rows of the state; `_input` and `_duration` are
+        the rows of demand and duration. `_machine` writes the state at the end of a step into `_flown`; `_following` is
+        the same memory, without lanes for one run. `longest` is the longest step that is accurate, s, and `_lasts` the
+        duration now in the inputs, s. `cart` and `motor` are the indices of their positions in the state.
         """
         first = plants[0]
         self.plants, self.track = plants, track
@@ -642,6 +643,7 @@ class SimulatedRig(SimulatedBench):
         self, draw: BenchDraw, settings: BenchSettings, *, limits: Limits, start: Array, queued: Sequence[float] = ()
     ) -> None:
         super().__init__([draw], settings, limits=limits, start=start, queued=queued)
+        # Sensors of a tick without a reading.
         self._nothing = np.zeros(draw.plant.arms.count + 1, dtype=bool)
 
     @property
