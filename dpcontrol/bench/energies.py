@@ -129,8 +129,8 @@ def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, floa
         runs: number of runs at the mismatch `MISMATCH`, ±5 %.
 
     Returns:
-        Efforts ∫u² dt of the "reference" and, as a mean of completed runs, of the "loop", m²/s³, NaN if none was
-            completed; the share "completed", the "duration", s, the "energy", J, and the "peak_gain" of the arms
+        Efforts ∫u² dt of the "reference" and of the "loop", m²/s³; that of the loop is the mean of completed runs, NaN
+            without any. The share "completed", the "duration", s, the "energy", J, and the "peak_gain" of the arms
             along the reference.
 
     Raises:

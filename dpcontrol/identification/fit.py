@@ -414,9 +414,12 @@ class DesignSettings(Settings, table="design"):
 
 @dataclass(frozen=True, eq=False)
 class Experiment(Brief):
-    """One recording: a "swing" from rest at angles (n,) rad, or a "cart" with a sinusoidal acceleration.
+    """One recording to make: a "swing" from rest at angles (n,) rad, or a "cart" with a sinusoidal acceleration.
 
     Attributes:
+        kind: "swing" or "cart".
+        amplitude: of the cart's acceleration, m/s².
+        frequency: of the cart's acceleration, Hz.
         information: digits of information.
         amplification: growth of an error of the start.
         matrix: information matrix (f, f).

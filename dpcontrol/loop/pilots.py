@@ -161,15 +161,15 @@ class DirectPilot:
         self._answer = Answer(self._followed(predicted_states[:-1], flights, goal) if flights.reached[0] else None)
 
     def answer(self) -> Answer | None:
-        """Return the answer to the last request."""
+        """Return the answer to the last request, or None before the first one."""
         return self._answer
 
     def _predicted(self, request: Request) -> Array:
         """Return the states (lead + 1, N) on which pending commands act, of which the last is the start of the flight.
 
         The state of the request is advanced under the braking law, or under the law of the flight under way. A lagging
-        drive approaches the command exponentially: `push` is its acceleration at the start of a tick, and the tick's
-        mean acceleration differs from the command by the share `share` of their difference.
+        drive approaches the command exponentially. `push` is its acceleration at the start of a tick; `share` is the
+        part of the difference between `push` and the command that remains in the tick's mean acceleration.
         """
         model, max_acceleration, push, states = (
             self._model,

@@ -257,7 +257,7 @@ class FallRecovery:
         plan's reference, s; `_arrives` is True if a flight led there, and `_flown` holds the completed stretches. Its
         reference was last followed at the tick `_followed`, and up to the time `_good` before the last fall.
 
-        `_stop` is the index of the stop from which the itinerary was last begun or resumed, or will be after a fall; it
+        `_stop` is the index of the stop from which the itinerary was last begun or resumed, or will be after a fall. It
         changes only at a fall, a catch or a new lap. `_attempts` has the failed attempts of the symbol after each stop,
         and `_lap` is the number of the repetition. If `_begins` is True, its start is not logged yet. `_meets` is the
         tick of the reference at which the next lap can begin without a flight, or None. `_latest` holds the recent
@@ -728,7 +728,7 @@ class Departures:
     def __init__(self, plan: RecoveryPlan, runs: int) -> None:
         """Begin before the first tick.
 
-        `_near` (S,) is True once a run has been near its reference, and `_latest` holds the recent angles (n, S) of all
+        `_near` (S,) is True once a run has been near its reference. `_latest` holds the recent angles (n, S) of all
         runs, by which the last stop is judged as held or not.
         """
         self._plan, self._near, self._latest = plan, np.zeros(runs, dtype=bool), plan.empty_record()

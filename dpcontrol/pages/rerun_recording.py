@@ -433,7 +433,7 @@ def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
 
     Args:
         charts: charts to show; those without a key are omitted.
-        growing: True if more data will follow, so that axes adapt; else they have the range of each chart.
+        growing: True if more data will follow, so that axes adapt and do not keep the range of each chart.
     """
     return [
         rrb.TimeSeriesView(

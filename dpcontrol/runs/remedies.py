@@ -230,8 +230,8 @@ def _job(plan: Plan, size: int) -> Job:
 def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
     """Return completed runs and the first run's verdict of each job, up to the first job that beats the null group.
 
-    `group` has the changes of one kind with their jobs, and for each run of the null group True if it was completed;
-    the latter are empty if the job is the null group itself. A job that cannot run has no completed runs, and the
+    `group` has the changes of one kind with their jobs, and for each run of the null group True if it was completed.
+    The latter are empty if the job is the null group itself. A job that cannot run has no completed runs, and the
     reason as its verdict. If runs are sequential, the rest of a job runs only if its first run, the failed one with the
     change, is completed.
     """

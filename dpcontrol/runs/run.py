@@ -216,7 +216,7 @@ class Run(Timed, Documented):
 
     @property
     def difference(self) -> float | None:
-        """Largest difference between the commands of a controlling program and the loop's own, m/s²."""
+        """Largest difference between the commands of a controlling program and the loop's own, m/s²; None without one."""
         difference_text = self.log.metadata.get("command_difference")
         return None if difference_text is None else float(difference_text)
 

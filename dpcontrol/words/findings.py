@@ -10,6 +10,7 @@ from typing import Any
 from dpcontrol.foundation.causes import FindingCause as Cause
 
 Figures = Mapping[str, Any]
+"""Numbers and names of a finding, by which its sentence is made; functions of this module call them `f`."""
 
 _AGAIN = "fix the other findings and start again"
 _IDENTIFY = "identify the model from free swings of this rig (`dpcontrol identify`), or check the joints' bearings"
