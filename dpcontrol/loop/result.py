@@ -168,7 +168,7 @@ def ended(cause: Cause, figures: Mapping[str, Any] | None = None, words: str = "
 
     Args:
         cause: cause of the end.
-        figures: its numbers and names.
+        figures: numbers and names for the sentence on the end.
         words: sentence of an end that comes from outside, such as the message of a user's object.
     """
     ending = ENDINGS[cause]

@@ -355,7 +355,7 @@ class SimulatedPlant:
         found by bisection. The first contact of a run is stored in `faults`.
 
         Args:
-            acceleration: demand, m/s².
+            acceleration: demanded acceleration of the cart, m/s².
             duration: duration of the step, s.
             time: time at the start of the step, s.
         """

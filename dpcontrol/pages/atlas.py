@@ -39,7 +39,7 @@ class TubePart:
         branch: side of the orbit, 1 or -1.
         strands: trajectories (M, N) up to the section.
         ends: curves of their end points (K, N).
-        sense: sign of the final crossing of the section, 0 without a section.
+        sense: sign of the final crossing of the section, 0 if the branch crosses in both senses or has no section.
     """
 
     stable: bool
