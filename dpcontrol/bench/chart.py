@@ -265,7 +265,7 @@ def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
     Borders of random outcomes lie at half the successes.
 
     Args:
-        answers: outcomes of runs.
+        answers: outcome of each run.
         lost: what failed runs did, for the message.
     """
     messages = [answer.says for answer in answers if not answer.works]

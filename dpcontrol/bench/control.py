@@ -182,7 +182,7 @@ def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
     Args:
         orbit_angles: angles (M, n) along the orbit, rad.
         period: period of the orbit, s.
-        near: largest distance of the angles, rad.
+        near: largest distance of an angle from the orbit that counts as held, rad.
     """
 
     def judge(run: BatchRun) -> bool:

@@ -160,7 +160,7 @@ def energy_text(chosen: float, points: Sequence[Point]) -> str:
 
     Args:
         chosen: energy of the itinerary, J.
-        points: points "reference" and "loop" at each energy, with the effort as error.
+        points: points "reference" and "loop" at each energy, with the effort as error; the itinerary's is the default.
     """
     loop_points = [point for point in points if point.method == "loop"]
     best_share = max(point.others["completed"] for point in loop_points)

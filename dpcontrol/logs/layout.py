@@ -174,7 +174,7 @@ def logged_event(time: float, data: bytes) -> Event:
     """Return the event in an rcl_interfaces/Log message, the inverse of `log`.
 
     Args:
-        time: s.
+        time: time of the event, s.
         data: message in CDR.
 
     Raises:

@@ -86,7 +86,11 @@ class Digest:
     deadlines: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Initialise the running sums, which are not part of the JSON text."""
+        """Initialise the running sums, which are not part of the JSON text.
+
+        `_now_on` is True while the run is on its itinerary. `_sums` are the sums of the estimated parameters' standard
+        deviations and values on the itinerary, from which `close` makes means, and `_last` the last of them.
+        """
         self._now_on = self.on
         self._sums: Array | float = 0.0
 

@@ -549,7 +549,7 @@ class JudgedTicks:
         period: float,
         end: Event,
     ) -> BatchRun:
-        """Return the stored ticks of one run with the share of NIS in its band and the rms of its feedback, at its end.
+        """Return one run that has ended: its stored ticks, the share of NIS in its band, and the rms of its feedback.
 
         States that are not yet transposed are written first.
 

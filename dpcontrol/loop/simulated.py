@@ -461,7 +461,8 @@ class SimulatedBench:
         """Begin before the first reading (tick -1), with the queued commands on their way to the drives.
 
         `_demands` holds the demands in the order in which they act. `_sent_before` is the number of those sent before
-        the present period, and `_fraction` the part of the delay beyond whole periods.
+        the present period, and `_fraction` the part of the delay beyond whole periods. `_last` is the last reading that
+        was not dropped, (n+1,) or (n+1, S), rad and m. `_reports` is True if readings come with their ages.
 
         `by_tick` gives the random numbers of the stream `name` in `draw.streams`, of which the reader of a single run
         converts blocks by `rows`.

@@ -120,7 +120,7 @@ class Ticker:
         Pending commands are those that act before the first tick's command, because the drive has a delay of `lead`
         periods. `_carts` stores the last positions of the cart by its scale, m, and `_coming` the references of a law
         with an internal clock until the ticks at which its commands act. `_lift` is added to the rows of gains, to turn
-        their angles by whole turns.
+        their angles by whole turns. `_estimate` is the last estimate of an estimator that replaces the compiled filter.
         """
         program, first = self.program, self.controller.first_state
         self._session: Any = None
