@@ -418,8 +418,8 @@ def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: floa
 
     Args:
         arms: arms of the model.
-        seconds: duration, s.
-        seed: seed of the plant and the zeros.
+        seconds: duration of the swing, s.
+        seed: seed of the plant, its first angles and the zeros.
         mismatch: relative error of the plant's parameters.
         zero_error: largest error of the encoder zeros, rad.
     """

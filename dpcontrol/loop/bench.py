@@ -702,8 +702,10 @@ def draw_bench(
 ) -> BenchDraw:
     """Draw plant, initial errors, sensor errors, noise and blows of one run from its seed.
 
-    Each use of random numbers has its own generator, by the names of `_STREAMS`. Numbers for each tick become streams
-    of the draw.
+    Each use of random numbers has its own generator, by the names of `_STREAMS`, which `generator` returns. Numbers for
+    each tick become streams of the draw: `stream` stores one unless `wanted`, the size of its noise, is zero, and
+    `normal` one of Gaussian numbers with the standard deviations `sigmas`. `within` draws a uniform number between
+    ±`most` for each arm, zeros if `most` is zero.
 
     Args:
         arms: arms of the model, which are the centre of the draw.
@@ -723,23 +725,19 @@ def draw_bench(
     )
 
     def generator(name: str) -> np.random.Generator:
-        """Return a new generator for the use `name`, one of `_STREAMS`."""
         return np.random.default_rng(seeds[name])
 
     # Unused values are not drawn: making a generator takes longer than most draws.
     streams: dict[str, Stream] = {}
 
     def stream(name: str, make: Callable[[np.random.Generator, int], NDArray[Any]], wanted: Any) -> None:
-        """Store the stream `name`, whose numbers `make` draws, unless the size of its noise, `wanted`, is zero."""
         if wanted:
             streams[name] = Stream(seeds[name], make)
 
     def normal(name: str, sigmas: Array) -> None:
-        """Store the stream `name` of normal numbers with the standard deviations `sigmas`, unless all are zero."""
         stream(name, lambda source, count: source.standard_normal((count, len(sigmas))) * sigmas, sigmas.any())
 
     def within(name: str, most: float) -> Array:
-        """Return a uniform number between ±`most` for each arm (n,), zeros if `most` is zero."""
         return generator(name).uniform(-most, most, n) if most else np.zeros(n)
 
     loss, noise = sensors.missed_counts * period, drive.command_noise

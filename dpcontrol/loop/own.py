@@ -154,7 +154,7 @@ def wrong_command(law: str, value: float) -> OwnFailure | None:
 
     Args:
         law: name of the symbolic law.
-        value: its command, m/s².
+        value: command that the law returned, m/s².
     """
     return None if abs(value) <= LARGEST else OwnFailure(f"{law} returned {value}: it must return 1 {_NUMBERS}")
 

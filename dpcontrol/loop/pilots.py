@@ -93,7 +93,7 @@ class Pilot(Protocol):
         """Begin to plan a flight.
 
         Args:
-            request: states and goal.
+            request: state, goal and flight under way, for which a flight is planned.
         """
 
     def answer(self) -> Answer | None:
@@ -145,7 +145,7 @@ class DirectPilot:
         """Plan a flight with its law, unless the flight under way reaches its goal.
 
         Args:
-            request: states and goal.
+            request: state, goal and flight under way, for which a flight is planned.
         """
         for model in (self._model, self._coarse):
             model.parameters[:] = request.parameters
@@ -250,7 +250,7 @@ class _DistantPilot:
         """Send a request with a number, by which answers to earlier requests are recognised.
 
         Args:
-            request: states and goal.
+            request: state, goal and flight under way, for which a flight is planned.
         """
         self._number += 1
         self._asked = time.monotonic()
