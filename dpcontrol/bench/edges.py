@@ -119,7 +119,7 @@ def failure_of(run: BatchRun, *, near: float = ASTRAY, most: float = math.inf) -
 
     Args:
         run: run along a reference.
-        near: largest distance of the angles from the reference over the last tenth, from which on a run fails, rad.
+        near: distance of an angle from the reference, over the last tenth of the run, from which on it fails, rad.
         most: largest rms feedback of a success, m/s².
     """
     if run.ending is not Ending.FINISHED:
