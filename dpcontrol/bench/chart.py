@@ -265,7 +265,7 @@ def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
     Borders of random outcomes lie at half the successes.
 
     Args:
-        answers: outcomes of runs.
+        answers: outcome of each run.
         lost: what failed runs did, for the message.
     """
     messages = [answer.says for answer in answers if not answer.works]
@@ -335,10 +335,10 @@ def find_border(
 
     Args:
         probe: function of a value, which tries it.
-        x: place of the border on its map.
-        line: name of the border.
-        near: value that works.
-        far: value that fails.
+        x: position of the border's line on its map.
+        line: name of this line.
+        near: value that is expected to work, which is tried first.
+        far: value that is expected to fail, which is tried second.
         predicted: value from theory, or None.
         ratio: largest final ratio of the sides.
         unit: restricts values to its multiples; the search ends at neighbours.

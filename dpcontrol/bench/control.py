@@ -182,7 +182,7 @@ def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
     Args:
         orbit_angles: angles (M, n) along the orbit, rad.
         period: period of the orbit, s.
-        near: largest distance of the angles, rad.
+        near: largest distance of an angle from the orbit that counts as held, rad.
     """
 
     def judge(run: BatchRun) -> bool:
@@ -418,8 +418,8 @@ def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: floa
 
     Args:
         arms: arms of the model.
-        seconds: duration, s.
-        seed: seed of the plant and the zeros.
+        seconds: duration of the swing, s.
+        seed: seed of the plant, its first angles and the zeros.
         mismatch: relative error of the plant's parameters.
         zero_error: largest error of the encoder zeros, rad.
     """
@@ -514,8 +514,8 @@ def _nees(estimator: Estimator, estimate: Estimate, truth: Array, bias: Array, z
     """Return the squared error of an estimate of states and encoder zeros, normalised by the estimator's covariance.
 
     Args:
-        estimator: filter.
-        estimate: its estimate.
+        estimator: filter, which gives the covariance.
+        estimate: its estimate of states and extras.
         truth: true state (N,).
         bias: true zero errors (n,) of absolute angles, rad.
         zeros: indices of the zeros among the estimator's extras.
@@ -531,13 +531,14 @@ def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Ar
 
         v_k = a v_{k-1} + (1 - a) (z_k - z_{k-1}) / T,      a = e^{-2π f T}
 
-    A difference is half a period old and has the noise q/T of one count q; the low pass trades noise against a lag of
-    1/(2πf). Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 6.1.
+    T is the period `PERIOD`, s. A difference is half a period old and has the noise q/T of one count q; the low pass
+    trades noise against a lag of 1/(2πf). Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd
+    ed., section 6.1.
 
     Args:
-        rates: last rates (m,).
-        last: measurement (m,) of the last period.
-        measured: measurement (m,).
+        rates: rates v (m,) that this function returned one period earlier.
+        last: positions z (m,) measured one period earlier.
+        measured: positions z (m,) measured now.
         cutoff: f of the first-order low pass, Hz, infinite for none.
     """
     weight = math.exp(-2 * math.pi * cutoff * PERIOD)

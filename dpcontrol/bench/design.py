@@ -130,8 +130,8 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
 
     Args:
         orbit: orbit of the connections.
-        states: states found (N,).
-        truths: states to match.
+        states: states (N,) of the found connections on the section.
+        truths: true connections, of which the state in 113-bit arithmetic counts.
     """
     error = max(float(np.min(orbit.system.scaled_distance(np.array(states), exact))) for _, exact in truths)
     return error if error < 0.01 else float("inf")
@@ -300,7 +300,7 @@ def transcribed(problem: ReferenceProblem, settings: ReferenceSettings) -> Solve
     """Return the solution of a problem on one even mesh, from the problem's guess, without refinement of the mesh.
 
     Args:
-        problem: problem with a guess.
+        problem: problem of a reference, with its first guess.
         settings: method, interval and solver.
     """
     mesh = even_mesh(problem.duration, settings.interval)
@@ -312,7 +312,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     """Return the diagrams of error between nodes and of cost, from the same solutions.
 
     Args:
-        problem: problem with a guess.
+        problem: problem of a reference, with its first guess.
         progress: called with a label and the completed share.
         quick: fewer settings.
     """
@@ -342,7 +342,7 @@ def _alternative(problem: ReferenceProblem, s: ReferenceSettings, find: Callable
     """Return a transcription as an alternative to be timed, with interval, solver and tolerance as its label.
 
     Args:
-        problem: problem with a guess.
+        problem: problem of a reference, with its first guess.
         s: settings of the transcription.
         find: function of problem and settings that solves the problem.
     """
@@ -361,7 +361,7 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     """Return the diagram of whole searches, which refine the mesh to the tolerance between nodes.
 
     Args:
-        problem: problem with a guess.
+        problem: problem of a reference, with its first guess.
         progress: called with a label and the completed share.
         quick: fewer settings.
     """

@@ -80,8 +80,8 @@ def _draw(axes: Axes, part: Diagram | EdgeMap, looks: dict[str, Look]) -> None:
 
     Args:
         axes: axes of one panel.
-        part: the diagram or map.
-        looks: look of each method.
+        part: diagram of errors against times, or map of borders.
+        looks: mark and colour of each method.
     """
     is_diagram = isinstance(part, Diagram)
     layers = [layer for layer in (_points(part, looks) if is_diagram else _borders(part)) if layer[1]]
@@ -112,7 +112,11 @@ def _place(panel: Diagram, point: Point) -> tuple[float, float]:
 
 
 def _points(panel: Diagram, looks: dict[str, Look]) -> Iterator[Layer]:
-    """Yield the layers of a diagram: its front, lines of joined points, the points, and rings about defaults."""
+    """Yield the layers of a diagram: its front, lines of joined points, the points, and rings about defaults.
+
+    `looks` has the mark and colour of each method. A layer is its label in the key, "" for none, then the places (x, y)
+    of its marks or line, and their look.
+    """
     front = [] if panel.joined else [_place(panel, point) for point in panel.front]
     # Between two points, the best error so far stays constant, so the front is a staircase.
     steps = [*front[:1], *(corner for (_, up), (x, y) in pairwise(front) for corner in ((x, up), (x, y)))]

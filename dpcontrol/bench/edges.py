@@ -119,8 +119,8 @@ def failure_of(run: BatchRun, *, near: float = ASTRAY, most: float = math.inf) -
 
     Args:
         run: run along a reference.
-        near: largest distance of the angles over its last tenth, rad.
-        most: largest rms feedback, m/s².
+        near: distance of an angle from the reference, over the last tenth of the run, from which on it fails, rad.
+        most: largest rms feedback of a success, m/s².
     """
     if run.ending is not Ending.FINISHED:
         return run.reason
@@ -362,7 +362,7 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
 
     Args:
         arms: arms of plant and model.
-        equilibrium: state (N,) to hold.
+        equilibrium: state (N,) of arms and cart to hold.
         rate: rate of the loop, Hz.
         seeds: number of runs.
     """

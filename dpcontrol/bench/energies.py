@@ -121,12 +121,20 @@ def only_walk(itinerary: Itinerary) -> WalkPart:
 
 
 def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, float]:
-    """Return the efforts of reference and loop, and the share of completed runs, of a walk at its energy.
+    """Return the figures of a walk at its energy: efforts of reference and loop, and the share of completed runs.
 
     Args:
         itinerary: itinerary of the walk.
         walk: walk at another energy.
-        runs: number of runs at ±5 %.
+        runs: number of runs at the mismatch `MISMATCH`, ±5 %.
+
+    Returns:
+        Efforts ∫u² dt of the "reference" and of the "loop", m²/s³; that of the loop is the mean of completed runs, NaN
+            without any. The share "completed", the "duration", s, the "energy", J, and the "peak_gain" of the arms
+            along the reference.
+
+    Raises:
+        GoalMissed: no reference was found at this energy.
     """
     # The plan is not cached: its content quotes the itinerary's text, which has another energy.
     reference = planned(replace(itinerary, parts=(walk,)))
@@ -152,7 +160,7 @@ def energy_text(chosen: float, points: Sequence[Point]) -> str:
 
     Args:
         chosen: energy of the itinerary, J.
-        points: effort over energies.
+        points: points "reference" and "loop" at each energy, with the effort as error; the itinerary's is the default.
     """
     loop_points = [point for point in points if point.method == "loop"]
     best_share = max(point.others["completed"] for point in loop_points)

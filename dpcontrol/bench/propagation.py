@@ -65,7 +65,7 @@ class Stepper:
 
         Args:
             states: states (N,) or (N, S) at the start.
-            duration: time, s.
+            duration: time from the start to the returned states, s.
             step: length of a step, s, which is changed so that a whole number of steps fits.
             command: value of all inputs: the cart's acceleration, m/s².
         """
@@ -183,8 +183,8 @@ def work_of(system: System, states: Array, duration: float) -> Work:
 
     Args:
         system: Hamiltonian system.
-        states: first states (K, N).
-        duration: time, s.
+        states: first states (K, N) of the trajectories.
+        duration: time of the trajectories, s.
 
     Raises:
         GoalMissed: this build of heyoka has no 113-bit reals.
@@ -200,8 +200,8 @@ def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progre
     """Time each candidate and judge its final states; failures are missing with their reason.
 
     Args:
-        tried: methods at their settings.
-        work: states with their truth.
+        tried: methods at their settings, as from `candidates`.
+        work: trajectories with their true ends.
         quick: fewer rounds.
         progress: called with a label and the completed share.
     """
@@ -219,8 +219,8 @@ def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Ar
     """Return all methods for a work's states; slow ones propagate only its first few.
 
     Args:
-        work: states with their truth.
-        batches: add many trajectories at once.
+        work: trajectories with their true ends.
+        batches: add methods that propagate many trajectories at once.
         quick: fewer settings and states.
     """
     first_states = work.states[: 2 if quick else 4]
@@ -243,7 +243,10 @@ def _together(fly: Callable[..., Array], states: Array, *args: Any, **more: Any)
 
 
 def _taylor(work: Work, *, batches: bool) -> Iterator[Alternative[Array]]:
-    """Yield Taylor's method at several tolerances, one trajectory after the other and in batches."""
+    """Yield Taylor's method at several tolerances, one trajectory after the other and, if `batches`, all together.
+
+    `work` has the trajectories to propagate.
+    """
     states, seconds = work.states, work.duration
     for tolerance in TOLERANCES:
         propagator = Propagator(work.system.equations, work.system.parameters, tolerance=tolerance)
@@ -258,7 +261,10 @@ def _taylor(work: Work, *, batches: bool) -> Iterator[Alternative[Array]]:
 
 
 def _stepped(work: Work, *, batches: bool, quick: bool) -> Iterator[Alternative[Array]]:
-    """Yield the fixed steps in machine code at several lengths, for one trajectory and for many lanes."""
+    """Yield the fixed steps in machine code at several lengths, for one trajectory and, if `batches`, for many lanes.
+
+    `work` has the trajectories to propagate; `quick` halves the number of lengths.
+    """
     parameters, equations, lanes = work.system.parameters, work.system.equations, len(work.states)
     schemes = {"RK4, compiled": classical_step(equations), "DOP853 step, compiled": fixed_step(equations)}
     first_states = work.states[:2]
@@ -275,7 +281,7 @@ def _stepped(work: Work, *, batches: bool, quick: bool) -> Iterator[Alternative[
 
 
 def _casadi(work: Work, states: Array) -> Iterator[Alternative[Array]]:
-    """Yield the integrators of CasADi for some states (K, N)."""
+    """Yield the integrators of CasADi for `states` (K, N), which are the first ones of the trajectories of `work`."""
     equations, parameters = work.system.equations, ca.DM(work.system.parameters)
     program = {"x": equations.state, "p": equations.parameters, "ode": equations.rate}
     # The error shows any stalled steps.
@@ -300,7 +306,10 @@ def _by_casadi(flow: ca.Function, x: Array, **inputs: Any) -> Array:
 
 
 def _scipy(work: Work, states: Array, *, quick: bool) -> Iterator[Alternative[Array]]:
-    """Yield the integrators of scipy for some states (K, N)."""
+    """Yield the integrators of scipy for `states` (K, N), which are the first ones of the trajectories of `work`.
+
+    `quick` omits one tolerance of Radau's method.
+    """
     rate = compiled_rate(work.system.equations, work.system.parameters)
     cases = [(method, tolerance, {}) for method in ("DOP853", "LSODA") for tolerance in (1e-12, 1e-9, 1e-6)]
     # Radau may repeat a tiny last step endlessly, so the rate's calls are counted.
@@ -319,10 +328,10 @@ def _by_scipy(
 
     Args:
         rate: rate of the equations, (t, x) -> (N,).
-        seconds: duration, s.
-        method: name of the integrator.
+        seconds: duration of the trajectory, s.
+        method: name of the integrator in `solve_ivp`, such as "DOP853".
         tolerance: relative and absolute tolerance.
-        more: further options.
+        more: further options of `solve_ivp`.
         x: first state (N,).
 
     Raises:
@@ -343,12 +352,14 @@ def _by_scipy(
 
 
 def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array:
-    """Return the states one tick later, from 113-bit arithmetic.
+    """Return the states (K, N) one tick (`TICK`, s) later under the held `COMMAND`, m/s², from 113-bit arithmetic.
+
+    The errors of faster methods are measured against them.
 
     Args:
-        equations: equations with an input.
-        parameters: values (p,).
-        states: states (K, N).
+        equations: equations with one input, the cart's acceleration.
+        parameters: values (p,) of their parameters.
+        states: states (K, N) at the start of the tick.
     """
     # The held input joins the parameters, which the extended propagator uses exactly.
     with_held_input = replace(

@@ -45,7 +45,7 @@ def in_processes(
         pieces: arguments of the function.
         workers: number of processes.
         what: name of the pieces in reports of progress.
-        progress: receiver of a report after each result.
+        progress: receiver of a report after each result, with the label "K of N `what`".
 
     Raises:
         GoalMissed: a process died.

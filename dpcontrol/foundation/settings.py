@@ -315,8 +315,8 @@ def _exactly(value: Any, hint: Any) -> Any:
     Most values need no pydantic, whose import takes 0.1 s.
 
     Args:
-        value: value after `_plain`.
-        hint: type of the setting.
+        value: value as `_plain` returns it.
+        hint: type of the setting, without its declaration.
     """
     if hint is float and type(value) in (int, float) and is_finite(value):
         return float(value)

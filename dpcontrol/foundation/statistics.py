@@ -17,7 +17,7 @@ stats = Later("scipy.stats")
 
 @dataclass(frozen=True)
 class Share:
-    """`successes` of `runs`, and the 95 % interval of the underlying share."""
+    """`successes` of `runs`, and the 95 % interval of the underlying share, from `low` to `high`."""
 
     successes: int
     runs: int

@@ -100,7 +100,7 @@ def _listed(values: Sequence[Any]) -> Any:
 
 @dataclass(frozen=True)
 class Place:
-    """The place of a table in a file, for messages; tables of a list are numbered from 1."""
+    """The place of a table in a file, for messages; `number` is its place in a list of tables, from 1, else 0."""
 
     file: str
     table: str = ""
@@ -240,7 +240,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Tables:
-    """A list of tables of a file, at least one."""
+    """A list of tables of a file, at least one, of which `each` reads one; a file must have it if `required`."""
 
     each: Table | Choice
     required: bool = False

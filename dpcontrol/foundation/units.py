@@ -65,7 +65,7 @@ def quantity(value: float, unit: str) -> str:
 
 
 class InUnits:
-    """Base of systems and results with a unit system, which state whether their units are those of SI."""
+    """Base of systems and results with a unit system; `si` is True if their units are those of SI."""
 
     si: bool
 

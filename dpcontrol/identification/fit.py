@@ -328,9 +328,9 @@ def fit_swings(
     Args:
         model: integrator of the arms.
         swings: measured swings.
-        parameters: first guess or fixed values (m,).
-        zeros: first guess or fixed values (groups, n), rad.
-        free: free parameters (m,).
+        parameters: ratios (m,) of the arms: first guess or fixed values.
+        zeros: encoder zeros (groups, n) of each group of swings, rad: first guess or fixed values.
+        free: True for parameters (m,) to fit; the others keep their values.
         free_zeros: True to fit the zeros.
         settings: windows, robust loss and convergence.
         near: first guess (W, 2n) of the windows' starts, default the measured angles without the zeros.
@@ -369,8 +369,8 @@ def fit_starts(
     Args:
         model: integrator of the arms.
         swings: measured swings.
-        parameters: ratios (m,).
-        zeros: zeros (groups, n), rad.
+        parameters: ratios (m,) of the arms, which are judged.
+        zeros: encoder zeros (groups, n) of each group of swings, rad.
         settings: windows and convergence; its robust loss is not used.
         near: first guess (W, 2n) of the windows' starts, default the measured angles.
     """
@@ -414,9 +414,12 @@ class DesignSettings(Settings, table="design"):
 
 @dataclass(frozen=True, eq=False)
 class Experiment(Brief):
-    """One recording: a "swing" from rest at angles (n,) rad, or a "cart" with a sinusoidal acceleration.
+    """One recording to make: a "swing" from rest at angles (n,) rad, or a "cart" with a sinusoidal acceleration.
 
     Attributes:
+        kind: "swing" or "cart".
+        amplitude: of the cart's acceleration, m/s².
+        frequency: of the cart's acceleration, Hz.
         information: digits of information.
         amplification: growth of an error of the start.
         matrix: information matrix (f, f).

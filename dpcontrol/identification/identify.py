@@ -131,7 +131,7 @@ def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array
     standard errors are those of a fit without any bound.
 
     Args:
-        fit: the fit.
+        fit: fit of the chosen candidate.
         bound: True for unknowns (f,) at a bound.
     """
     covariance = np.zeros((len(bound), len(bound)))
@@ -145,7 +145,7 @@ def undetermined_of(
     """Return sentences on undetermined numbers (f,) and indistinguishable pairs, as warnings for the user of a model.
 
     Args:
-        names: names of the numbers (f,).
+        names: names of the identified numbers (f,), ratios and encoder zeros.
         values: their values (f,).
         errors: their standard errors (f,), infinite if undetermined.
         covariance: their covariance (f, f).
@@ -404,10 +404,13 @@ def _candidates(
     settings: IdentificationSettings,
     progress: Progress,
 ) -> tuple[list[Candidate], list[str]]:
-    """Return the fitted candidates, one for each choice of laws and zeros, and why others did not converge.
+    """Return the candidates that converged, and a sentence for each that did not.
 
-    `fitted` are the swings to fit, `left_out` those held out, and `start` the arms of the starting model. The reasons
-    are sentences. `progress` receives the candidate's terms and the completed share.
+    A candidate is a set of friction laws with encoder zeros that are either fitted or fixed at 0. `settings` has the
+    sets of laws; its `zeros` decides whether zeros are fitted for all candidates, for none, or both ways for each set.
+    `fitted` are the swings to fit, `left_out` those held out, and `start` the arms of the starting model. `progress`
+    receives the completed share with "fit" and the candidate's terms before each fit, and with "uncertainty" at the
+    end, because the caller then computes the errors.
 
     Raises:
         GoalMissed: no candidate converged.
@@ -439,7 +442,7 @@ def choose(candidates: Sequence[Candidate]) -> int:
     many unknowns, the better one is chosen. Differences due to rounding are ignored.
 
     Args:
-        candidates: fitted candidates.
+        candidates: fitted candidates, of which each has the errors of all held-out segments.
     """
     squares = [c.left_out**2 for c in candidates]
     best = min(squares, key=lambda s: float(s.mean()))
@@ -460,7 +463,7 @@ def _fitted(
 
     `fitted` are the swings to fit, and `left_out` the held-out ones, for which only the starts are fitted. `near` is a
     fit of the same laws, whose ratios and starts are the first guess, or None for the ratios of `arms`. `zeros` is True
-    to fit encoder zeros.
+    to fit encoder zeros, and False to fix them at 0. `settings` are the windows, robust loss and convergence.
     """
     model = Swings(arms)
     groups = 1 + max(s.group for s in (*fitted, *left_out))

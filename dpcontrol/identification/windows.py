@@ -284,8 +284,8 @@ def fit_windows(
     Args:
         model: model of the measurements.
         values: first guess or fixed values (V,) of all parameters.
-        unknowns: indices (f,) of the free ones.
-        bounds: least and largest values (V,).
+        unknowns: indices (f,) of the free parameters.
+        bounds: least and largest values (V,) of all parameters.
         settings: robust loss and convergence.
         starts: first guess (W, s) of the starts; None for a model without starts.
 

@@ -63,11 +63,17 @@ class Group:
 
     @property
     def family(self) -> str:
-        """The group's values except the kind of trouble, as one line, by which levels are joined over all kinds."""
+        """The group's values without the kind of trouble, as one line.
+
+        Groups of all kinds of trouble share it, and so have a common colour and a common curve over the level.
+        """
         return self._line(without=_KIND)
 
     def _line(self, *, without: str = "") -> str:
-        """Return the group's values in one line, without the column `without` and those that its case repeats."""
+        """Return the group's values as one line, without the column `without` and without those that its case repeats.
+
+        A case is a text of settings, such as "controller=tvlqr, lag=0.01". Without any value, the line is "all runs".
+        """
         case_settings = self.names.get(_CASE, "").split(", ")
         parts = (
             value
@@ -263,7 +269,7 @@ def _levels(values: NDArray[np.float64] | None, groups: list[tuple[Group, Rows]]
 
     Args:
         values: mismatch or level (K,) of each run, None if the table has none.
-        groups: groups and their rows.
+        groups: groups, each with True (K,) for its runs.
         done: True (K,) for completed runs.
     """
     if values is None or len(distinct := np.unique(values[np.isfinite(values)])) < 2:
@@ -290,8 +296,8 @@ def _symbols(
     An entry has the group's label, the number of the symbol from 1, or 0 if it is unknown, and the number of runs.
 
     Args:
-        table: columns of the table.
-        groups: groups and their rows.
+        table: values (K,) of each column of the table, by name.
+        groups: groups, each with True (K,) for its runs.
         done: True (K,) for completed runs.
     """
     completed_symbols, all_symbols = (_numbers(table, name) for name in ("symbols_completed", "symbols_total"))

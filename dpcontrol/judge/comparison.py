@@ -77,7 +77,7 @@ def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
 
     Args:
         runs: views of the runs.
-        symbol: number of the symbol, counted from 1.
+        symbol: number of the symbol in the plans, counted from 1.
 
     Raises:
         InputError: there are too many runs, their pendulums differ, or the symbol is missing in all.

@@ -54,7 +54,7 @@ HARDEST_METADATA = "hardest_acceleration"
 
 @dataclass(frozen=True)
 class Thinking:
-    """Computing time of controller and estimator in a tick, s: median and 99th percentile."""
+    """Computing time of controller and estimator in a tick, s: median and 99th percentile (`within_99`)."""
 
     median: float
     within_99: float

@@ -186,6 +186,7 @@ class McapFile:
 
     def __init__(self, stream: FileIO, *, library: str):
         self.stream = stream
+        # Checksum of all bytes up to now.
         self._crc = 0
         self._compressor = zstandard.ZstdCompressor(level=_COMPRESSION)
         # Records of the summary, and records that the next chunk begins with.

@@ -174,7 +174,7 @@ def logged_event(time: float, data: bytes) -> Event:
     """Return the event in an rcl_interfaces/Log message, the inverse of `log`.
 
     Args:
-        time: s.
+        time: time of the event, s.
         data: message in CDR.
 
     Raises:
@@ -313,7 +313,7 @@ def record(channel: int, number: int, time_ns: int, content: bytes) -> bytes:
     Args:
         channel: number of the channel.
         number: number of the message in its channel.
-        time_ns: time, ns.
+        time_ns: time of logging and of publishing, ns.
         content: message in CDR.
     """
     length = _HEAD.size - LENGTH_FROM + len(content)
@@ -406,7 +406,7 @@ class Block:
         The caller then fills in the messages' own numbers.
 
         Args:
-            times: (K,) ns.
+            times: times (K,) of the ticks, ns.
             first: number of the first message in its channel.
         """
         if len(self._records) < len(times):

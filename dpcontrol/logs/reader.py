@@ -227,7 +227,7 @@ def described_layout(path: Path, described: Mapping[str, str]) -> layout.TickLay
 
     Args:
         path: path of the log, for messages.
-        described: values of the record.
+        described: values of the metadata record `LAYOUT_RECORD`, by key.
     """
     if described.get("format") != layout.FORMAT:
         raise InputError(
@@ -550,9 +550,9 @@ def check_replaced(
     The record of the run identifies the command. A log from a rig is always rejected, because it cannot be repeated.
 
     Args:
-        path: of the new log.
-        metadata: its record: settings, seed, hashes.
-        recovers: source of the recovery, if any.
+        path: path of the new log.
+        metadata: metadata of the run in the new log: settings, seed, hashes.
+        recovers: damaged log from which the new one is recovered, or None.
         force: replace any file.
 
     Raises:

@@ -104,8 +104,8 @@ def ticks_in(topics: Mapping[str, Topic], described: layout.TickLayout) -> tuple
     The rate of the layout is that of the ticks, which may be lower than in the original log.
 
     Args:
-        topics: messages by topic.
-        described: layout in the metadata.
+        topics: messages of each topic that is left, by its name.
+        described: layout of the original log, from its metadata.
 
     Raises:
         ValueError: the measured joint states are missing, messages are not those of a log, or fewer than two ticks are

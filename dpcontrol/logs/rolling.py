@@ -86,7 +86,11 @@ class Digest:
     deadlines: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Initialise the running sums, which are not part of the JSON text."""
+        """Initialise the running sums, which are not part of the JSON text.
+
+        `_now_on` is True while the run is on its itinerary. `_sums` are the sums of the estimated parameters' standard
+        deviations and values on the itinerary, from which `close` makes means, and `_last` the last of them.
+        """
         self._now_on = self.on
         self._sums: Array | float = 0.0
 
@@ -135,11 +139,11 @@ class Digest:
         """Add the next rows of the loop to the figures.
 
         Args:
-            times: (K,) s.
-            period: of the loop, s.
-            state: (K, N) true or estimated states.
-            reference: (K, N) states.
-            extras: (K, 2E) standard deviations, then values.
+            times: times (K,) of the rows, s.
+            period: period of the loop, s.
+            state: states (K, N), the true ones or, if these are unknown, the estimated ones.
+            reference: reference states (K, N).
+            extras: standard deviations, then values, of the estimated parameters (K, 2E); None if there are none.
         """
         if not len(times):
             return
@@ -171,7 +175,7 @@ class Digest:
         """Complete the digest at the end of the file, with the estimated parameters and the process's memory.
 
         Args:
-            names: names of the extras.
+            names: names (E,) of the estimated parameters, none if the filter estimates none.
         """
         if names and self.followed:
             means = np.asarray(self._sums)[len(names) :] / self.followed
@@ -250,6 +254,7 @@ class RollingLog:
         self._period, self._end = 1 / rate_hz, end
         # None while no file can be written.
         self._writer: LogWriter | None = None
+        # Figures and events of the present file, which are written beside it when it ends.
         self._digest = Digest(number, session, limit=limit)
         self._file_ends(begin)
 

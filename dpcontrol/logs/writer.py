@@ -224,7 +224,7 @@ class ChunkEncoder:
         Args:
             times: (K,) of the ticks, ns.
             rows: (K, width) of the measured positions and of each logged part.
-            notes: single messages.
+            notes: single messages, such as events, in order of arrival.
         """
         block = self.tick.block.filled(times, self._counts[layout.MEASURED])
         self._counts[layout.MEASURED] += len(times)
@@ -339,6 +339,7 @@ class LogWriter:
         # Ticks that wait, ticks that are written, and the time of the last one, s.
         self._filled = self._ticks = 0
         self._last = 0.0
+        # Events that wait for the next chunk, the results of the run so far, and the encoder from the first chunk on.
         self._notes: list[Note] = []
         self._result: dict[str, str] = {}
         self._encoder: ChunkEncoder | None = None

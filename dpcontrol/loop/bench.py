@@ -543,8 +543,8 @@ _BLOCK = 1 << 14
 class Stream(Brief):
     """Source of the random numbers of one use, such as noise of the sensors, for each tick of a run.
 
-    `make` turns a generator and a count into an array (count, …). Successive blocks hold the numbers of one long draw,
-    so a run of any length gets the same numbers.
+    `make` turns a generator and a count into an array (count, …), and `seed` is that of the generator. Successive
+    blocks hold the numbers of one long draw, so a run of any length gets the same numbers.
     """
 
     seed: np.random.SeedSequence
@@ -565,7 +565,10 @@ class StreamReader:
     """
 
     def __init__(self, stream: Stream, rows: Callable[[NDArray[Any]], Any], *, block: int) -> None:
-        """Skip the numbers before the stream's first tick; they must be drawn, to advance the generator."""
+        """Skip the numbers before the stream's first tick; they must be drawn, to advance the generator.
+
+        `_values` is the stored block, with the ticks from `_first` to `_end` (not included).
+        """
         self._random, self._make, self._rows = np.random.default_rng(stream.seed), stream.make, rows
         self._block, self._first, self._end, skipped = block, 0, 0, stream.begin
         self._values: Any = ()
@@ -773,7 +776,8 @@ def _random_blows(
 ) -> Iterator[tuple[int, Blow]]:
     """Yield blows on random arms with their ticks, in order and without end; none without such blows.
 
-    Their times are a Poisson process with the rate `knocks_per_minute`.
+    Their times are a Poisson process with the rate `knocks_per_minute`, and their impulses on one arm are uniform up to
+    `knock_impulse`, both of `settings`. `period` is that of the ticks, s.
     """
     time_s = 0.0
     while settings.knocks_per_minute and settings.knock_impulse:

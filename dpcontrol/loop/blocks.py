@@ -35,8 +35,14 @@ class Blocks:
     def __init__(self, ticker: Ticker, rig: SimulatedRig, noise: StreamReader | None) -> None:
         """Allocate the rows of a block, and bind the machine code of each tick to its rows.
 
-        A row of the controller's tick holds reading, table, constants and memory as inputs, and memory and report as
-        outputs.
+        Row k of `_ticks` holds the inputs of the controller's tick k: reading, gains and references, constants and
+        memory. Memory and report, its outputs, are in row k + 1. `_reading`, `_row`, `_numbers`, `_memory` and
+        `_report` are these columns, and `_told` is the report by names.
+
+        Row k of `_steps` holds the inputs of the plant's step before tick k, of which `_state` and `_acting`, the
+        acceleration, are columns. `_demands` are those on their way to the drive at each tick. `_command_noise`,
+        `_position_noise` and `_zeros` are the random numbers of a block, which `_fill` writes. `_alive` keeps the
+        buffers that the machine code of `_calls` uses.
         """
         kind, program, tick = rig.kind, ticker.program, ticker.program.equations
         assert kind is not None

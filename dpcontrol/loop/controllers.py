@@ -99,8 +99,8 @@ def filter_defaults(kind: str, law: "ControllerSettings", keep: str = "none") ->
 
     Args:
         kind: kind of the estimator, one of `ESTIMATORS`.
-        law: settings of the law.
-        keep: law that keeps the stops.
+        law: settings of the law that follows the reference.
+        keep: law that keeps the stops, one of `KEEPERS`.
     """
     if isinstance(law, AdaptiveSettings) or keep == "tvlqr":
         return ADAPTIVE
@@ -242,7 +242,7 @@ def nearest_keeper(
         reference: planned reference, with the orbits of its plan.
         parameters: parameters of the model's arms.
         model: model of arms and drive from tick to tick.
-        flies: settings of the feedback.
+        flies: settings of the feedback that holds orbits.
 
     Raises:
         InputError: the reference is of other arms.

@@ -37,7 +37,9 @@ class Lockstep:
     ) -> None:
         """Begin with all runs alive.
 
-        `_counts` has the ticks of each run until its end, and `_stopped_at` the tick at which its cart was stopped.
+        `_alive` (S,) is True for runs that have not ended, and `_over` is True once all have. `_counts` has the ticks
+        of each run until its end, `_stopped_at` the tick at which its cart was stopped, and `_ends` the event of its
+        end. `_departed` (S,) is True for runs that ended because a recovery would act.
         """
         self._ticker, self._bench, self._runs, self._departures = ticker, bench, len(draws), departures
         self._period, self._arms = ticker.program.period, ticker.program.model.arms

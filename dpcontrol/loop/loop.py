@@ -83,6 +83,7 @@ class ControlLoop:
         fallback: laws that take over if the supervisor abandons the reference. Without one, the run ends or recovers.
         recovery: motions after a fall.
         keep: True if the result holds all ticks, False for the last block only.
+        progress: receiver of the label "run" and the completed share.
 
     The rig's `truth` is recorded if it exists, but never used.
     """
@@ -364,8 +365,8 @@ class ControlLoop:
     ) -> None:
         """Send an event at `time_s` to the sink, after the rows of all earlier ticks.
 
-        `words` replaces the sentence that is made from cause and figures, for texts that a law or user's object
-        supplies.
+        `level` is "info", "warn" or "error", and `name` the kind of event, such as "saturated". `words` replaces the
+        sentence that is made from cause and figures, for texts that a law or user's object supplies.
         """
         # Events follow the ticks that they belong to.
         self._flush(round(time_s / self._period))

@@ -154,7 +154,7 @@ def wrong_command(law: str, value: float) -> OwnFailure | None:
 
     Args:
         law: name of the symbolic law.
-        value: its command, m/s².
+        value: command that the law returned, m/s².
     """
     return None if abs(value) <= LARGEST else OwnFailure(f"{law} returned {value}: it must return 1 {_NUMBERS}")
 
@@ -276,10 +276,11 @@ class OwnSession(Session):
         law: the law.
         lead: number of first commands that come from the reference.
 
-    `failure` is the error that ended it.
+    `failure` is the object's error, which ends the run, or None.
     """
 
     def __init__(self, law: OwnController, lead: int) -> None:
+        """Begin before the first command; `_begun` is True once the object's `reset` was called."""
         self._law, self._lead, self._begun = law, lead, False
         self.failure: OwnFailure | None = None
 
@@ -326,7 +327,10 @@ class OwnEstimates(Estimator):
     extra_names = ()
 
     def __init__(self, own: OwnObject, model: SampledModel, *, noise: Array) -> None:
-        """Begin before the first reading; `_count` counts the updates and `_sent` is the last command, m/s²."""
+        """Begin before the first reading; `_count` counts the updates and `_sent` is the last command, m/s².
+
+        `failure` is the object's error, which ends the run, or None.
+        """
         self.own, self.kind, self._model, self._noise = own, own.name, model, noise
         self.failure: OwnFailure | None = None
         self.judged = True
@@ -448,7 +452,10 @@ class OwnArms:
     """
 
     def __init__(self, own: OwnObject, parameters: PlantParameters, state: Array, *, track: float) -> None:
-        """Begin at the initial state; the object's `reset` is called before its first step."""
+        """Begin at the initial state; the object's `reset` is called before its first step, which `_begun` records.
+
+        `_cart` is the index of the cart's position in the state, and `values` the present state as floats.
+        """
         self._own, self._parameters, self._track, self._begun = own, parameters, track, False
         self._cart = 2 * parameters.arms.count
         self.faults: dict[int, Event] = {}
@@ -470,7 +477,7 @@ class OwnArms:
             acceleration: demanded acceleration of the cart, m/s².
             duration: duration of the step, s.
             time: time at its start, s.
-            span: ignored.
+            span: ignored; `SimulatedPlant.move` has it.
 
         Raises:
             OwnFailure: the object failed.
@@ -492,7 +499,7 @@ class OwnArms:
 
         Args:
             blow: impulses and jumps.
-            run: ignored.
+            run: ignored, since a user's plant serves a single run.
         """
         self._set_state(
             after_blow(self._parameters, self.state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
@@ -516,7 +523,10 @@ class OwnRig:
     """
 
     def __init__(self, own: OwnObject, *, arms: int, period: float) -> None:
-        """Begin before the first reading; `_count` counts the readings."""
+        """Begin before the first reading; `_count` counts the readings.
+
+        `_stopped` is True once the object's `stop` has succeeded.
+        """
         self.own, self.period, self.fault = own, period, None
         self._arms, self._count, self._stopped = arms, 0, False
         self.truth: Array | None = None if getattr(own.thing, "truth", None) is None else np.zeros(2 * arms + 2)

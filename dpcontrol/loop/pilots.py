@@ -93,7 +93,7 @@ class Pilot(Protocol):
         """Begin to plan a flight.
 
         Args:
-            request: states and goal.
+            request: state, goal and flight under way, for which a flight is planned.
         """
 
     def answer(self) -> Answer | None:
@@ -129,7 +129,9 @@ class DirectPilot:
     def __init__(self, briefing: Briefing) -> None:
         """Make the models and the planner once; `ask` replaces their parameters by those of each request.
 
-        The gains along a flight use the coarse model, whose periods are longer.
+        `_model` is the model of the loop's ticks. The gains along a flight use the coarse model, whose periods are
+        longer. `_usual` is the planner with the model's parameters, and `_planner` that with the parameters of the last
+        request. `_braking` are the gains of the braking cart, and `_answer` is the answer to the last request.
         """
         self.briefing, rate, lag = briefing, briefing.rate, briefing.lag
         self._model = sampled_model(briefing.arms, rate, lag)
@@ -143,7 +145,7 @@ class DirectPilot:
         """Plan a flight with its law, unless the flight under way reaches its goal.
 
         Args:
-            request: states and goal.
+            request: state, goal and flight under way, for which a flight is planned.
         """
         for model in (self._model, self._coarse):
             model.parameters[:] = request.parameters
@@ -159,14 +161,15 @@ class DirectPilot:
         self._answer = Answer(self._followed(predicted_states[:-1], flights, goal) if flights.reached[0] else None)
 
     def answer(self) -> Answer | None:
-        """Return the answer to the last request."""
+        """Return the answer to the last request, or None before the first one."""
         return self._answer
 
     def _predicted(self, request: Request) -> Array:
         """Return the states (lead + 1, N) on which pending commands act, of which the last is the start of the flight.
 
-        The state of the request is advanced under the braking law, or under the law of the flight under way. `share`
-        and `push` describe a drive whose acceleration approaches the command exponentially.
+        The state of the request is advanced under the braking law, or under the law of the flight under way. A lagging
+        drive approaches the command exponentially. `push` is its acceleration at the start of a tick; `share` is the
+        part of the difference between `push` and the command that remains in the tick's mean acceleration.
         """
         model, max_acceleration, push, states = (
             self._model,
@@ -240,13 +243,14 @@ class _DistantPilot:
     """
 
     def __init__(self, pipe: Connection) -> None:
+        """Begin without a request; `_number` is that of the last request, and `_asked` the time when it was sent, s."""
         self._pipe, self._number, self._asked = pipe, 0, 0.0
 
     def ask(self, request: Request) -> None:
         """Send a request with a number, by which answers to earlier requests are recognised.
 
         Args:
-            request: states and goal.
+            request: state, goal and flight under way, for which a flight is planned.
         """
         self._number += 1
         self._asked = time.monotonic()

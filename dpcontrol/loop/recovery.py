@@ -257,19 +257,23 @@ class FallRecovery:
         plan's reference, s; `_arrives` is True if a flight led there, and `_flown` holds the completed stretches. Its
         reference was last followed at the tick `_followed`, and up to the time `_good` before the last fall.
 
-        `_stop` is the index of the last stop, `_attempts` the failed attempts of the symbol after each stop, and `_lap`
-        the number of the repetition. If `_begins` is True, its start is not logged yet. `_meets` is the tick of the
-        reference at which the next lap can begin without a flight, or None.
+        `_stop` is the index of the stop from which the itinerary was last begun or resumed, or will be after a fall. It
+        changes only at a fall, a catch or a new lap. `_attempts` has the failed attempts of the symbol after each stop,
+        and `_lap` is the number of the repetition. If `_begins` is True, its start is not logged yet. `_meets` is the
+        tick of the reference at which the next lap can begin without a flight, or None. `_latest` holds the recent
+        estimated angles of the arms on the itinerary, by which the last stop is judged as held or not.
 
-        Braking began at the tick `_began`, because of `_why` and the sensor `_sensor`. The estimate was last wrong at
-        the tick `_lost_at`, and is usable if `_reliable`. From the tick `_asks` on, a flight to the stop `_goal` (-1
-        for rest) may be requested. Its search has `_thinking` s, and its answer is read at the tick `_answers`, which
-        is `_NEVER` without a request.
+        Braking began at the tick `_began`, because of `_why`; if a sensor was stuck, `_sensor` is its number, from 1.
+        The estimate was last wrong at the tick `_lost_at`, and is usable if `_reliable`. From the tick `_asks` on, a
+        flight to the stop `_goal` (-1 for rest) may be requested. Its search has `_thinking` s, and its answer is read
+        at the tick `_answers`, which is `_NEVER` without a request.
 
-        `_course` is the flight under way and `_tries` the number of flights that failed since the fall.
+        `_course` is the flight under way. `_tries` counts the flights since the fall that failed, were not found, or
+        led to rest.
 
         `_near` is True once the state was near the reference since the last catch. `_seen` is the last tick and
-        position, m, of a check that a stopped cart stays still. `_bounds` are the supervisor's usual bounds.
+        position, m, of a check that a stopped cart stays still. `_bounds` are the supervisor's usual bounds, stored by
+        `begin`.
         """
         self._plan, self._main, self.until = plan, main, until
         self.motion = Motion.ITINERARY
@@ -372,7 +376,7 @@ class FallRecovery:
         Args:
             k: tick.
             cause: cause of the fall.
-            figures: its numbers.
+            figures: numbers and names for the sentence on the fall.
             ticker: ticker of the run.
             period: time between ticks, s.
 
@@ -718,10 +722,15 @@ class Departures:
 
     Args:
         plan: data of the recovery.
-        runs: number of runs.
+        runs: number S of runs.
     """
 
     def __init__(self, plan: RecoveryPlan, runs: int) -> None:
+        """Begin before the first tick.
+
+        `_near` (S,) is True once a run has been near its reference. `_latest` holds the recent angles (n, S) of all
+        runs, by which the last stop is judged as held or not.
+        """
         self._plan, self._near, self._latest = plan, np.zeros(runs, dtype=bool), plan.empty_record()
 
     def lanes(self, k: int, report: Report, ticker: Ticker) -> NDArray[np.bool_]:

@@ -168,7 +168,7 @@ def ended(cause: Cause, figures: Mapping[str, Any] | None = None, words: str = "
 
     Args:
         cause: cause of the end.
-        figures: its numbers and names.
+        figures: numbers and names for the sentence on the end.
         words: sentence of an end that comes from outside, such as the message of a user's object.
     """
     ending = ENDINGS[cause]
@@ -500,7 +500,12 @@ class JudgedTicks:
     """
 
     def __init__(self, count: int, runs: int, arms: int) -> None:
-        """Allocate room for all ticks of all runs; `_latest` holds states that are not yet transposed."""
+        """Allocate room for all ticks of all runs; `_latest` holds states that are not yet transposed.
+
+        `_truth` are the states of each run, and `_applied`, `_feedback` and `_nis` (K, S) the acting accelerations,
+        m/s², the feedback, m/s², and the NIS. `_done` is the number of stored ticks, and `_freedom` the number
+        of measured positions, by which the NIS is judged.
+        """
         n = 2 * arms + 2
         # A run's states are contiguous because they are read run by run.
         self._truth, self._latest = np.empty((runs, count, n)), np.empty((_TURN, n, runs))
@@ -544,7 +549,7 @@ class JudgedTicks:
         period: float,
         end: Event,
     ) -> BatchRun:
-        """Return the stored ticks of one run with the share of NIS in its band and the rms of its feedback, at its end.
+        """Return one run that has ended: its stored ticks, the share of NIS in its band, and the rms of its feedback.
 
         States that are not yet transposed are written first.
 
@@ -602,7 +607,7 @@ class SinkBeside(LoopSink):
 
     def __init__(self, sink: LoopSink) -> None:
         # The thread starts at the first event, with the loop's priority at that time. A lower priority would block
-        # the interpreter on a busy computer.
+        # the interpreter on a busy computer. `_under_way` are the transfers that may not be finished, oldest first.
         self._sink, self._thread = sink, ThreadPoolExecutor(1, "log")
         self._under_way = deque[Future[None]]()
 

@@ -217,9 +217,10 @@ class SimulatedPlant:
     def __init__(self, plants: list[PlantParameters], state: Array, *, track: float) -> None:
         """Compile the plant's step, and allocate its inputs, whose rows hold state, duration, demand and parameters.
 
-        `_machine` writes the state at the end of a step into `_flown`; `_following` is the same memory, without lanes
-        for one run. `longest` is the longest step that is accurate, s, and `_lasts` the duration now in the inputs, s.
-        `cart` and `motor` are the indices of their positions in the state.
+        `_inputs` are the inputs of the step, of which `_states` are the rows of the state; `_input` and `_duration` are
+        the rows of demand and duration. `_machine` writes the state at the end of a step into `_flown`; `_following` is
+        the same memory, without lanes for one run. `longest` is the longest step that is accurate, s, and `_lasts` the
+        duration now in the inputs, s. `cart` and `motor` are the indices of their positions in the state.
         """
         first = plants[0]
         self.plants, self.track = plants, track
@@ -354,7 +355,7 @@ class SimulatedPlant:
         found by bisection. The first contact of a run is stored in `faults`.
 
         Args:
-            acceleration: demand, m/s².
+            acceleration: demanded acceleration of the cart, m/s².
             duration: duration of the step, s.
             time: time at the start of the step, s.
         """
@@ -460,7 +461,8 @@ class SimulatedBench:
         """Begin before the first reading (tick -1), with the queued commands on their way to the drives.
 
         `_demands` holds the demands in the order in which they act. `_sent_before` is the number of those sent before
-        the present period, and `_fraction` the part of the delay beyond whole periods.
+        the present period, and `_fraction` the part of the delay beyond whole periods. `_last` is the last reading that
+        was not dropped, (n+1,) or (n+1, S), rad and m. `_reports` is True if readings come with their ages.
 
         `by_tick` gives the random numbers of the stream `name` in `draw.streams`, of which the reader of a single run
         converts blocks by `rows`.
@@ -642,6 +644,7 @@ class SimulatedRig(SimulatedBench):
         self, draw: BenchDraw, settings: BenchSettings, *, limits: Limits, start: Array, queued: Sequence[float] = ()
     ) -> None:
         super().__init__([draw], settings, limits=limits, start=start, queued=queued)
+        # Sensors of a tick without a reading.
         self._nothing = np.zeros(draw.plant.arms.count + 1, dtype=bool)
 
     @property

@@ -45,8 +45,8 @@ class Reach(Brief):
         Large costs mark states from which the law can hardly return.
 
         Args:
-            states: states (S, N).
-            place: index of the place.
+            states: estimated states (S, N) of S runs.
+            place: index of the place in `states` and `costs` of this object.
         """
         differences = states - self.states[place]
         n = states.shape[1] // 2 - 1
@@ -60,7 +60,7 @@ class Reach(Brief):
         section again costs time.
 
         Args:
-            state: state (N,).
+            state: estimated state (N,) of the run.
             last: index of the last place that is considered.
             worth: number of places after which the cost doubles.
         """
@@ -218,8 +218,8 @@ def padded(gains: GainSchedule, like: GainSchedule) -> GainSchedule:
     Gains on extras that the schedule lacks are zero.
 
     Args:
-        gains: gains on the state.
-        like: gains with all columns.
+        gains: gains on the state alone, which may lack columns for extras.
+        like: gains of the itinerary, whose number of columns the result gets.
     """
     n = gains.references.shape[1] // 2 - 1
     extra_columns = np.zeros((len(gains.rows), like.rows.shape[1] - gains.rows.shape[1]))

@@ -55,6 +55,9 @@ class Ticker:
         `_schedule` and `_rows` hold the gains by tick of a law without an internal clock; `_session` is a law with one.
         `_row` names the parts of the compiled tick's input for gains and references. `_own` is a user's estimator, and
         `_judged` False once its lack of standard deviations has been reported.
+
+        `lead` is the number of ticks from a reading to the action of its command, and `count` the number of ticks of
+        the present controller. `_uses_switch` is False while the limit switches must not stop the run, as in braking.
         """
         self.program, self.controller, self.estimator = program, controller, estimator
         self._own = estimator if isinstance(estimator, OwnEstimates) else None
@@ -117,7 +120,7 @@ class Ticker:
         Pending commands are those that act before the first tick's command, because the drive has a delay of `lead`
         periods. `_carts` stores the last positions of the cart by its scale, m, and `_coming` the references of a law
         with an internal clock until the ticks at which its commands act. `_lift` is added to the rows of gains, to turn
-        their angles by whole turns.
+        their angles by whole turns. `_estimate` is the last estimate of an estimator that replaces the compiled filter.
         """
         program, first = self.program, self.controller.first_state
         self._session: Any = None
@@ -373,8 +376,8 @@ class Ticker:
             k: the next tick.
             controller: controller to follow.
             lift: whole turns (n,) added to its angles, rad.
-            bounds: new values of `tick_parts.Numbers`.
-            uses_switch: if False, the end switches do not stop the run.
+            bounds: numbers of the supervisor that change, by their names in `tick_parts.Numbers`.
+            uses_switch: if False, the limit switches do not stop the run.
         """
         program = self.program
         self._uses_switch = uses_switch

@@ -34,8 +34,12 @@ BRANCHES = {
 class TubePart:
     """One branch of a tube in space.
 
-    It has trajectories (M, N) up to the section, their end points (K, N), and the sign `sense` of the final crossing, 0
-    without a section.
+    Attributes:
+        stable: True for the stable tube, whose trajectories lead to the orbit, False for the unstable one.
+        branch: side of the orbit, 1 or -1.
+        strands: trajectories (M, N) up to the section.
+        ends: curves of their end points (K, N).
+        sense: sign of the final crossing of the section, 0 if the branch crosses in both senses or has no section.
     """
 
     stable: bool

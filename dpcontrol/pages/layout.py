@@ -59,7 +59,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Stack:
-    """Panels below one another, with aligned sides."""
+    """Panels below one another, with aligned sides; `share` is the stack's width relative to its neighbours."""
 
     panels: Sequence[Panel | Draw]
     share: float = 1.0
@@ -77,6 +77,7 @@ class Page:
         verdict: the result in a sentence, below the title.
         good: True for a favourable verdict, False for an unfavourable one; decides its colour.
         width: in inches.
+        rows: rows from the top, each with its height, inches, and the function that draws it into its part.
     """
 
     title: str

@@ -151,7 +151,8 @@ def _shapes(axes: Axes, family: LyapunovFamily) -> None:
 def _active(orbit: Orbit) -> tuple[int, int]:
     """Return the two columns of the states that show an orbit best in a plane.
 
-    They are the angle that changes most and its rate, or both positions in a system without angles.
+    In a system with SI units, a pendulum, they are the angle that changes most and its rate. In a system without units,
+    three bodies, they are both positions.
     """
     n = orbit.system.dimension // 2
     arm = int(np.argmax(np.ptp(orbit.sample(400)[:, :n], axis=0)))

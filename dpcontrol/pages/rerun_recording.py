@@ -363,7 +363,7 @@ def blueprint(view: RunView, sheets: Sequence[Sheet], *, growing: bool = False) 
 
     Args:
         view: the recorded run.
-        sheets: phase planes.
+        sheets: sheet of each arm's phase plane, of which the first two are shown.
         growing: True if more data will follow: axes adapt, and the viewer follows the latest time.
     """
     middle, checks = plots(motion_charts(view), growing=growing), plots(check_charts(view), growing=growing)
@@ -433,7 +433,7 @@ def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
 
     Args:
         charts: charts to show; those without a key are omitted.
-        growing: as in `blueprint`.
+        growing: True if more data will follow, so that axes adapt and do not keep the range of each chart.
     """
     return [
         rrb.TimeSeriesView(

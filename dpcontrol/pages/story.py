@@ -18,7 +18,7 @@ from dpcontrol.pages.planes import Range
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of a strip, s.
+    """A stretch of a strip, from the time `first` to `last`, s, with its text and colour.
 
     Its kind is "stay" ("astray" if unplanned), "transfer", "symbol", "motion", "mode" or "ended".
     """
@@ -32,7 +32,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Strip:
-    """Spans in order of time.
+    """One line of a run's story: its spans in order of time.
 
     `key` is the path in a recording, which the viewer sorts alphabetically; `name` is the label on a page, or "".
     """

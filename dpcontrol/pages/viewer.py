@@ -224,6 +224,7 @@ class LiveView(LoopSink):
             check_viewer(LIVE_REMEDY)
         # One of every so many ticks is sent; the number to skip before the next one comes second.
         self._every, self._left = max(1, round(start.rate_hz / RATE)), 0
+        # Number of rows and events for the viewer, and of those that were dropped.
         self._sent = self._dropped = 0
         context = get_context("spawn")
         self._reading, self.pipe = context.Pipe(duplex=False)

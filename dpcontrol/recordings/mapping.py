@@ -127,7 +127,8 @@ class Mapping:
 
     Attributes:
         name: name of the file without its ending.
-        arm_lengths: lengths of the arms, m, for pictures.
+        arm_lengths: lengths of the arms, m, with which logs and pictures show them; the last one counts for further
+            arms.
         time: column and unit of the times.
         sampling: time between samples.
         cells: cell arrays of a MATLAB file.

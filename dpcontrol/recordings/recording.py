@@ -61,7 +61,7 @@ class Recording(Timed):
         cart: (K,) m, or None for a clamped cart.
         command: (K,) m/s², or None for a clamped cart.
         segments: (first, end) rows in file order, 0-based, end excluded; samples of a segment are dt apart.
-        arm_lengths: (n,) m, for pictures.
+        arm_lengths: lengths (n,) of the arms, m, with which logs and pictures show them; a fit does not use them.
         notes: sentences on repairs and changes made by the import.
     """
 
@@ -244,11 +244,12 @@ def write_samples(
     Args:
         recording: measurements (K samples).
         path: log to write.
-        verb: name of the events.
+        verb: name of the events, "import" or "replay".
         pieces: first row, end row, level and text of the event of each segment.
-        metadata: metadata of the log.
-        states: states (K, N) by name, default none.
-        control: control fields (K,) by name, default none.
+        metadata: text by name, stored in the log's metadata record of the run.
+        states: states (K, N) by "estimate" or "reference", default none.
+        control: some of `control_fields` (K,) by name, default none. Without them, NIS is NaN, the mode is idle, and
+            other fields are zero.
         sigmas: (K, N) standard deviations of the estimate.
         attachments: attachments by name, default none.
         force: True to replace another log at `path`.

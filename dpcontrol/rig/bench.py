@@ -166,9 +166,11 @@ class RecordedRig:
 
     def __init__(self, record: BenchRecord, program: TickProgram) -> None:
         self._record, self._program, self.period = record, program, record.period
+        # Tick of the last reading, and True once the loop has stopped the cart.
         self._tick, self._stopped = -1, False
         # Sensors of a reading that was not sent.
         self._nothing = np.zeros(record.positions.shape[1], dtype=bool)
+        # Largest difference so far between the loop's commands and the recorded ones, m/s².
         self.difference = 0.0
 
     @property

@@ -205,6 +205,7 @@ class PacketRig(AbstractContextManager["PacketRig"]):
         self._tick, self._begin = -1, math.inf
         # The last error of the channel or of a packet explains why a bench does not respond.
         self._stopped, self._problem = False, ""
+        # Largest delay of a tick, s.
         self._worst = 0.0
         # Figures of `Deadlines`. The bench counts the first and the fourth; refused packets are those at this end.
         self._held = self._missed = self._lost = self._ignored = self._refused = 0

@@ -200,9 +200,9 @@ def commission(
         arms: model of the arms.
         settings: present settings of the scene's [run].
         limits: the cart's limits.
-        zeros: present zeros (n,), rad.
+        zeros: readings (n,) of hanging arms by the present settings, rad, which are subtracted from all readings.
         switches: distance to creep to either side until a limit switch responds, m; 0 to skip this.
-        options: settings of the commissioning.
+        options: durations, sizes and speeds of the motions.
         notify: receives instructions about the next step.
 
     Raises:

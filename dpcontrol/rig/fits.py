@@ -115,11 +115,11 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
     A lag that is not significant is set to zero, and delay and gain are then fitted without it.
 
     Args:
-        carts: readings (K,), m.
+        carts: readings (K,) of the cart's position, m.
         commands: command after each reading, m/s².
         period: control period, s.
         first: tick at which the chirp begins.
-        last: tick at which it ends.
+        last: tick at which the chirp ends.
     """
     start, end = max(first - round(_MARGIN / period), 0), min(last + round(_MARGIN / period), len(carts))
     positions, demands = carts[start:end], np.array([*commands, 0.0])[start:end]

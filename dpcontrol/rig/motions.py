@@ -236,8 +236,8 @@ def perform(
     """Perform all motions of the cart; the session records readings and commands for the fits.
 
     Args:
-        session: the rig.
-        chirp: positions and accelerations of `chirp_of`.
+        session: the rig during commissioning.
+        chirp: positions (K,), m, and accelerations (K,), m/s², of `chirp_of`.
         switches: distance of the search for limit switches, m; 0 for none.
         options: durations and sizes of the motions.
         notify: receives instructions about the next step.
@@ -365,7 +365,7 @@ def chirp_of(arms: ArmChainParameters, period: float, options: CommissioningSett
     Args:
         arms: parameters of the arms, whose lowest frequency begins the chirp.
         period: control period, s.
-        options: duration and sizes.
+        options: duration, largest amplitude and acceleration, and highest frequency of the chirp.
     """
     low = 0.6 * float(modes(arms).frequencies.min()) / (2 * np.pi)
     high, finer = min(options.highest, 0.1 / period), 8

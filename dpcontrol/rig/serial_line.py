@@ -77,6 +77,7 @@ class SerialLine:
                 f"rig {SERIAL}{path}: cannot open the serial line: {error}; check the path, its permissions, and that "
                 "no other program uses it"
             ) from error
+        # Received bytes of frames that were not returned yet, the last of which may be incomplete.
         self._waiting = b""
 
     def send(self, data: bytes) -> None:

@@ -263,8 +263,8 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         job: job of the run.
         reference: reference of the plan.
         seed: seed of the run.
-        run: the run.
-        path: "compiled" or "ticks".
+        run: result of the run.
+        path: "compiled" for a run in lockstep, or "ticks" for one that ran alone, tick by tick.
     """
     loop = job.case.loop
     motion = Flown.of(run, rate_hz=loop.rate, limits=loop.limits(reference.limits))

@@ -80,7 +80,8 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
         """Begin new episodes on all benches, and return their first observations and their seeds.
 
         For each bench, `_age` counts the steps of its episode, `_stop` the targets reached, and `_stayed` the steps
-        near the present one. `_over` is not 0 if the episode has ended. `_before` are the positions of the last step.
+        near the present one. `_over` is not 0 if the episode has ended. `_reading` are the present positions
+        (n+1, num_envs), and `_before` those of the step before.
 
         Args:
             seed: seed of the first bench, from which the others count up, or one for each; None to continue.
@@ -145,7 +146,10 @@ class BenchVector(gymnasium.vector.VectorEnv[Values, Values, Values]):
         return self._observations(), rewards, is_ended, is_cut_off & ~is_ended, {}
 
     def _restart(self, lanes: Values) -> None:
-        """Begin new episodes, with random seeds, on some benches, whose numbers are `lanes`."""
+        """Begin new episodes, with random seeds, on some benches, whose numbers are `lanes`.
+
+        Positions and counts of these benches begin anew; their rates are then zero, since `_before` equals `_reading`.
+        """
         new_benches = self._benches(self._random_seeds(len(lanes)))
         self._reading[:, lanes] = self._before[:, lanes] = new_benches.read().positions
         self.bench.replace_runs(lanes.tolist(), new_benches)

@@ -289,7 +289,7 @@ def _searched(
         problem: problem of the part.
         part: the part of the robust plan, from which searches start.
         settings: settings of the plan's references.
-        progress: receiver of progress reports.
+        progress: receiver of a label with the part's duration, and of the completed share of the searches.
     """
     motions: list[Trajectory] = []
     for k, search in enumerate(_SEARCHES):
@@ -314,8 +314,8 @@ def _settings(settings: ReferenceSettings, weight: float, method: str, iteration
     Args:
         settings: settings of the plan's references.
         weight: weight of the distance to the guess, which holds the motion near the robust plan.
-        method: name of the transcription.
-        iterations: limit of iterations.
+        method: name of the transcription, such as "radau-7".
+        iterations: largest number of the solver's iterations.
     """
     return replace(
         settings, level="cart", solver="ipopt", method=method, pendulum_weight=weight, cart_weight=CART_WEIGHT,
@@ -527,7 +527,7 @@ def _sides(plans: list[tuple[str, Plan]], runs: int, workers: int, progress: Pro
     """Yield the figures of both plans, with success rates from `runs` runs at each mismatch.
 
     Args:
-        plans: names and plans.
+        plans: name and plan of the robust and of the polished one.
         runs: number of runs of a plan at a mismatch.
         workers: number of processes.
         progress: receiver of progress reports.

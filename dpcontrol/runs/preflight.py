@@ -227,7 +227,7 @@ class _Task:
     Attributes:
         of: hazard or change.
         job: seeds of the present bench, or of the changed one.
-        completed: endings of these seeds on the present bench.
+        completed: True for each of these seeds whose run on the present bench was completed.
         most: largest number of seeds at once.
         block: seeds of the first block of a search.
         rate: share of completed runs on the present bench.
@@ -341,8 +341,8 @@ def _point(search: _Task, hazard: Hazard, value: float, *, until_clear: bool = T
 
     Args:
         search: task with the seeds, and their endings on the present bench.
-        hazard: the trouble.
-        value: value of its setting.
+        hazard: trouble with the setting that is varied, and settings that go with it.
+        value: value of that setting.
         until_clear: run blocks of seeds until it is clear on which side of the border the value is; otherwise all
             seeds.
     """
@@ -450,7 +450,7 @@ class _Amounts(NamedTuple):
 
     @classmethod
     def of(cls, rate: int, kinds: int = 10) -> "_Amounts":
-        """Return the amounts that suit a number of seeds for the rate."""
+        """Return the amounts that suit `rate` seeds for the rate and a search for `kinds` borders."""
         if rate <= _FEW:
             return cls(rate, min(24, rate), min(48, rate), max(rate // 8, 8), kinds)
         return cls(rate, 64, rate // 2, min(SAMPLED, rate // 4), kinds)
@@ -502,9 +502,9 @@ def _seconds(job: Job, amounts: _Amounts, most: int, workers: int) -> float:
     The first `_FIRST` seeds include the compilation; then all seeds of the job are measured.
 
     Args:
-        job: first seeds of the rate.
-        amounts: numbers of seeds.
-        most: number of seeds at once.
+        job: first seeds of the rate, the share of completed runs on the present bench.
+        amounts: numbers of runs of the whole preflight.
+        most: largest number of seeds at once.
         workers: number of processes.
     """
     clock_times = [time.process_time()]
@@ -705,8 +705,8 @@ def _searches(
     Args:
         kinds: hazards in order of importance.
         job: all seeds of the rate on the present bench.
-        completed: their endings.
-        amounts: numbers of seeds.
+        completed: True for each of these seeds whose run was completed.
+        amounts: numbers of runs of the preflight, of which those of a border are used.
         most: largest number of seeds at once.
         notes: list that receives the reason.
     """
@@ -794,7 +794,7 @@ def _trials(itinerary: Itinerary, job: Job, completed: Sequence[bool], count: in
     Args:
         itinerary: itinerary with known errors.
         job: all seeds of the rate on the present bench.
-        completed: their endings.
+        completed: True for each of these seeds whose run was completed.
         count: largest number of failed seeds, and of completed ones.
         most: largest number of seeds at once.
     """

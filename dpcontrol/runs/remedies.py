@@ -230,9 +230,10 @@ def _job(plan: Plan, size: int) -> Job:
 def _tried(group: _Group) -> list[tuple[tuple[bool, ...], str]]:
     """Return completed runs and the first run's verdict of each job, up to the first job that beats the null group.
 
-    `group` has the jobs of one kind of change, and the null group's completed runs; these are empty for the null group
-    itself. A job that cannot run has no completed runs, and the reason as its verdict. If runs are sequential, the rest
-    of a job runs only if its first run, the failed one with the change, is completed.
+    `group` has the changes of one kind with their jobs, and for each run of the null group True if it was completed.
+    The latter are empty if the job is the null group itself. A job that cannot run has no completed runs, and the
+    reason as its verdict. If runs are sequential, the rest of a job runs only if its first run, the failed one with the
+    change, is completed.
     """
     verdicts: list[tuple[tuple[bool, ...], str]] = []
     (changes_and_jobs, null_runs), failed_run = group, slice(1)
@@ -259,8 +260,9 @@ def _beats(done: Sequence[bool], before: Sequence[bool]) -> bool:
     runs as it loses.
 
     Args:
-        done: completed runs with the change, variants before neighbouring seeds.
-        before: completed runs of the null group, in the same order.
+        done: True for each run with the change that was completed: first the failed run, then its variants, then as
+            many neighbouring seeds. If some were not tried, the result is False.
+        before: True for each run of the null group that was completed, in the same order.
     """
     if len(done) != len(before):
         return False
@@ -280,14 +282,20 @@ def _judged(
     """Return a change with its verdict; if it beats the null group, the failed run is simulated again with it.
 
     The null group are the same runs without the change. The change helps only if that repetition, outside lockstep, is
-    completed too.
+    completed too; the verdict is then that of the repetition.
 
     Args:
-        change: the change.
-        done: completed runs with the change, variants before neighbouring seeds; empty if they could not run.
-        verdict: reason of the first run's verdict.
-        before: completed runs of the null group.
-        alone: function of options that returns the score of the failed run with them.
+        change: the tried change of the settings.
+        done: True for each run with the change that was completed: first the failed run, then its variants, then the
+            neighbouring seeds. It has the failed run alone if the others were not tried, and is empty if none could
+            run.
+        verdict: why the failed run with the change was completed or not, or why no run could be made.
+        before: True for each run of the null group that was completed, in the same order.
+        alone: function of options that repeats the failed run with them, outside lockstep, and returns its score.
+
+    Returns:
+        The change with its option, verdict and counts of completed runs; the counts are None unless all runs were
+            tried.
     """
     group_size = len(before) // 2
     counts = Completed(sum(done[:group_size]), sum(done[group_size:]), group_size) if len(done) == len(before) else None

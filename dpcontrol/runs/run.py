@@ -216,7 +216,7 @@ class Run(Timed, Documented):
 
     @property
     def difference(self) -> float | None:
-        """Largest difference between the commands of a controlling program and the loop's own, m/s²."""
+        """Largest difference between the commands of a controlling program and the loop's own, m/s², or None."""
         difference_text = self.log.metadata.get("command_difference")
         return None if difference_text is None else float(difference_text)
 
@@ -398,7 +398,7 @@ def watched(plan: Plan, sink: LoopSink, *, live: LiveSink | None) -> Iterator[Lo
 
     Args:
         plan: plan of the run.
-        sink: sink of the ticks.
+        sink: receiver of the ticks and events, such as the writer of the log.
         live: makes a sink that shows the run; None for no view.
 
     Raises:
@@ -454,9 +454,9 @@ def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: st
 
     Args:
         plan: plan of the run.
-        ticks: its ticks, none for a live view.
-        events: its events.
-        **more: further metadata.
+        ticks: ticks of the run, none for a live view.
+        events: events of the run, none for a live view.
+        **more: further metadata, text by name.
     """
     itinerary = plan.itinerary
     lengths, limits = itinerary.model.arms.length, itinerary.loop.limits(plan.reference.limits)
@@ -484,7 +484,7 @@ def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
     """Return the estimates of additional parameters, at the slower rate of a log, or None without such parameters.
 
     Args:
-        ticks: ticks of the run.
+        ticks: ticks of the run, with the estimates of every tick.
         names: names (E,) of the parameters.
     """
     if ticks.extras is None or not names:
@@ -502,7 +502,7 @@ def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
     Args:
         plan: plan of the run.
         out: log to write.
-        **more: further metadata.
+        **more: further metadata, text by name.
 
     Raises:
         InputError: the log cannot be written.
@@ -1046,8 +1046,8 @@ def commission_rig(
     Args:
         itinerary: itinerary of the rig.
         bench: link to the rig, or the user's rig (default: the example bench in simulated time).
-        practice: itinerary with the settings of the example bench.
-        faults: its wiring mistakes.
+        practice: itinerary with the settings of the example bench (default: `itinerary`).
+        faults: wiring mistakes of the example bench, names from `rig.bench.FAULTS`.
         switches: distance to creep to either side until a limit switch responds, m; 0 to skip this.
         notify: receives instructions about the next step.
 
@@ -1167,6 +1167,9 @@ def _log_recorded(
         assembly: components of the loop.
         process: the example bench with its record.
         deadlines: deadlines of the program, None if it was interrupted.
+
+    Raises:
+        GoalMissed: the bench has no record, or no tick was recorded.
     """
     if process.record is None:
         raise GoalMissed("the example bench did not end its run in order")

@@ -10,6 +10,7 @@ from typing import Any
 from dpcontrol.foundation.causes import FindingCause as Cause
 
 Figures = Mapping[str, Any]
+"""Numbers and names of a finding, by which its sentence is made; functions of this module call them `f`."""
 
 _AGAIN = "fix the other findings and start again"
 _IDENTIFY = "identify the model from free swings of this rig (`dpcontrol identify`), or check the joints' bearings"
@@ -297,10 +298,10 @@ def told(step: str, cause: Cause, figures: Figures, changes: Figures) -> tuple[s
     """Return the sentence on a finding of commissioning, and the remedy, "" for a finding without a defect.
 
     Args:
-        step: step of commissioning.
-        cause: its cause.
-        figures: its numbers and names.
-        changes: measured values for [run].
+        step: step of commissioning to which the finding belongs.
+        cause: cause of the finding.
+        figures: numbers and names of the finding.
+        changes: measured values that [run] of the itinerary should have, by key; none if [run] may stay.
     """
     make_sentence = FINDINGS.get((step, cause)) or FINDINGS["", cause]
     return make_sentence(figures, changes)

@@ -94,7 +94,7 @@ def told(cause: str, figures: Mapping[str, Any]) -> str:
 
     Args:
         cause: value of a `Cause` or a `Fault`.
-        figures: its numbers and names.
+        figures: numbers and names for the sentence of this cause.
     """
     additions = (text for name, text in ADDITIONS.items() if name in figures)
     return "".join([SENTENCES.get(cause, ""), *additions]).format_map({**figures, **_phrases(figures)})
@@ -159,8 +159,10 @@ def _done(figures: Mapping[str, Any]) -> str:
     """Return the sentence on a completed run: symbols and transfers, wraps, and its end.
 
     Args:
-        figures: numbers and names of `Fault.NONE`: `motions` are all symbols and transfers, `stay` is "hold" for an
-            equilibrium, and `lowest` is True if the run ends at rest, with the arms hanging.
+        figures: numbers and names of `Fault.NONE`: `motions` is the number of symbols and `transfers`, `saddle` is that
+            of the last stop, and `wraps` are the counts of the run. `stay` is "hold" or "orbit" for a plan that only
+            stays at an equilibrium or an orbit, else "". `lowest` is True if the run ends at rest, with the arms
+            hanging.
     """
     total, saddle = figures["motions"], figures["saddle"]
     if not total and figures["stay"]:
@@ -235,7 +237,7 @@ def verdict(fault: str, figures: Mapping[str, Any], end: str) -> str:
 
     Args:
         fault: value of a `Fault`.
-        figures: its numbers and names.
+        figures: numbers and names for the sentence of this fault.
         end: sentence of the event that ended the run early or let it fall back, or "".
     """
     separator = ": " if "short" in figures else "; "
