@@ -107,7 +107,7 @@ class HoldController(Brief):
     Attributes:
         ticks: number of periods.
         drive_gain: gain on the cart's acceleration, for a lagging drive.
-        extra_gains: gains (E,) on the estimator's extras `names`.
+        extra_gains: gains (E,) on the disturbances that the estimator adds to the state, its extras `names`.
         cost: matrix P (N, N) of the cost-to-go.
     """
 
@@ -167,7 +167,8 @@ class HoldController(Brief):
 class HoldSession(Session):
     """A hold during one run.
 
-    `wanted` (N,) is the equilibrium with the run's turns.
+    `_wanted` (N,) is the equilibrium with the run's turns, `_gain` (N,) the gains on the deviation from it, and
+    `_extra_gains` (E,) those on the estimator's extras, or None. None of them changes during the run.
     """
 
     def __init__(self, controller: HoldController, wanted: Array) -> None:
@@ -198,9 +199,10 @@ class HoldSession(Session):
 
 @dataclass(frozen=True, eq=False)
 class ExtraEffects(Brief):
-    """Extra quantities of an estimator.
+    """Disturbances w (E,) that an estimator adds to the state, such as unexplained accelerations of the arms.
 
-    Names (E,), effects E (N, E) per period, decay factors D (E,).
+    Their names (E,), their effects E w on the state after a period, E (N, E), and the factors D (E,) in w+ = D w, by
+    which they decay in a period (`kept`).
     """
 
     names: tuple[str, ...]
@@ -215,7 +217,8 @@ def _regulator(
 
     With a lagging drive, the cart's acceleration is another state.
 
-    `x` (N,): equilibrium. `damping`: viscous friction beyond the model's, over √(G M).
+    `x` (N,): equilibrium. `settings`: weights of state and command; their own damping is not used. `damping`: viscous
+    friction beyond the model's, over √(G M).
 
     Raises:
         GoalMissed: the equilibrium cannot be stabilised.
@@ -280,12 +283,13 @@ def hold_controller(
     """Return the regulator for an equilibrium with the cart in the middle.
 
     Args:
-        state: equilibrium (2n,) of the pendulum.
+        state: equilibrium (2n,) of the pendulum, or a state that begins with it; the cart's entries are ignored.
         model: model of arms and drive from tick to tick.
         settings: weights and additional damping.
         seconds: duration of the hold, s.
-        extras: extra quantities that receive gains.
-        dry: viscous friction that replaces the model's dry friction, over √(G M).
+        extras: disturbances w that the estimator adds to the state, which get gains; None for no such gains.
+        dry: viscous friction that has the mean effect of the arms' dry friction, over √(G M); it is added to the
+            additional damping.
 
     Raises:
         GoalMissed: the equilibrium cannot be stabilised.

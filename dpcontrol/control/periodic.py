@@ -234,9 +234,11 @@ class OrbitController(Brief):
     gains: Array
     """Gains (M, N)."""
     normals: Array
-    """Normals (M, N), see `PhaseSection`."""
+    """Normals (M, N), by which a deviation from the orbit gives its lateness, s, see `PhaseSection`."""
     feedforward: Array
+    """Accelerations of the cart (M,), m/s²."""
     period: float
+    """Period of the loop, s."""
     ticks: int
     """Number of periods."""
     by_phase: bool
@@ -283,7 +285,9 @@ class OrbitController(Brief):
 class OrbitSession(ClockedSession):
     """An orbit's clock, or clocks (S,).
 
-    lift (N,): whole turns between run and table.
+    `_time` is the time on the orbit's clock, s, or times (S,), at the loop's tick `_tick`, the last one in which the
+    law was called; both change at each call. `_lift` (N,) are the whole turns between run and table, rad, which only
+    `resynchronise` changes.
     """
 
     def __init__(self, law: OrbitController, tick: int, time: Any, lift: Array, lanes: Lanes = ONE) -> None:

@@ -77,7 +77,7 @@ class Newton:
             equations: residual (m,) and Jacobian (m, k), m ≥ k.
             guess: first unknowns (k,).
             bounds: lowest and highest unknowns (k,). Far from the guess lie other solutions.
-            units: factors (m,) that scale the residual.
+            units: factors (m,) on the residuals, in the order of the equations; a float for all.
         """
         low, high = bounds
         best, unknowns, reach = Solution(guess, np.inf, np.zeros_like(guess)), guess, (high - low) / 2
@@ -142,7 +142,8 @@ class Problem(Protocol):
     """Equations of a curve.
 
     Attributes:
-        units: factors (m + 1,) that scale the residual, with that of another equation.
+        units: factors (m + 1,) on the m residuals and, last, on that of the equation that `bordered` adds; a float for
+            all.
         scale: typical change of the followed quantity.
     """
 

@@ -273,19 +273,20 @@ class PlanContent:
         return np.asarray(stop.angles) - np.asarray(self.saddles[stop.saddle].angles)
 
     def transitions(self) -> list[tuple[int, int]]:
-        """Return the first transfer between each two equilibria, for pictures of the transitions.
+        """Return the first transfer between each two equilibria, for pictures and for plans of single transitions.
 
         Returns:
-            Index of the transfer among all symbols, and among all transfers.
+            A pair (k, j) for each: symbol k is the transfer, and j its index in `transfers`.
         """
         # A stop at rest has no growth over a period; other stops begin or end a walk.
         is_equilibrium = [self.orbit(stop).multiplier == 1.0 for stop in self.stops]
-        transfer_numbers = {round(sum(transfer_number) / 2, 6): k for k, transfer_number in enumerate(self.transfers)}
+        # The time of a transfer's symbol is the middle of the transfer.
+        numbers_by_middle = {round(sum(ends) / 2, 6): j for j, ends in enumerate(self.transfers)}
         pairs: dict[tuple[str, str], tuple[int, int]] = {}
         for k, symbol in enumerate(self.symbols):
-            transfer_number = transfer_numbers.get(round(symbol.time, 6))
-            if transfer_number is not None and symbol.name is None and is_equilibrium[k] and is_equilibrium[k + 1]:
-                pairs.setdefault((symbol.source, symbol.target), (k, transfer_number))
+            number = numbers_by_middle.get(round(symbol.time, 6))
+            if number is not None and symbol.name is None and is_equilibrium[k] and is_equilibrium[k + 1]:
+                pairs.setdefault((symbol.source, symbol.target), (k, number))
         return list(pairs.values())
 
     def fits(self, arms: int) -> bool:
