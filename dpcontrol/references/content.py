@@ -280,13 +280,13 @@ class PlanContent:
         """
         # A stop at rest has no growth over a period; other stops begin or end a walk.
         is_equilibrium = [self.orbit(stop).multiplier == 1.0 for stop in self.stops]
-        # The time of a transfer's symbol is the middle of the transfer.
-        numbers_by_middle = {round(sum(ends) / 2, 6): j for j, ends in enumerate(self.transfers)}
+        # Indices in `transfers` by the middle of the transfer, (begin, end), which is the time of its symbol.
+        numbers_by_middle = {round(sum(transfer) / 2, 6): k for k, transfer in enumerate(self.transfers)}
         pairs: dict[tuple[str, str], tuple[int, int]] = {}
         for k, symbol in enumerate(self.symbols):
-            number = numbers_by_middle.get(round(symbol.time, 6))
-            if number is not None and symbol.name is None and is_equilibrium[k] and is_equilibrium[k + 1]:
-                pairs.setdefault((symbol.source, symbol.target), (k, number))
+            transfer = numbers_by_middle.get(round(symbol.time, 6))
+            if transfer is not None and symbol.name is None and is_equilibrium[k] and is_equilibrium[k + 1]:
+                pairs.setdefault((symbol.source, symbol.target), (k, transfer))
         return list(pairs.values())
 
     def fits(self, arms: int) -> bool:
