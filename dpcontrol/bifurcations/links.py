@@ -173,6 +173,9 @@ def phase_gap(first: float, second: float) -> float:
 class LinkProblem:
     """Matching of two saddles' tubes at any value of the followed quantity, with cached orbits.
 
+    `_manifolds` holds the unstable manifolds of all orbits so far, by saddle and value of the followed quantity.
+    `match` is the function `_match` with a cache of its last sixteen results.
+
     Args:
         course: followed quantity of systems with two degrees of freedom.
         source, target: names of the saddles.

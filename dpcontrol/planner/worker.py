@@ -40,7 +40,10 @@ _EVERY = 0.05
 
 
 class Jobs:
-    """The jobs by name, whose reports are lines of one stream."""
+    """The jobs by name, whose reports are lines of one stream, `_file`.
+
+    Reports of progress before the time `_next`, s of the monotonic clock, are dropped.
+    """
 
     def __init__(self, handle: int) -> None:
         """Write reports to the open file descriptor `handle`, the process's original standard output."""
@@ -133,7 +136,7 @@ class Jobs:
 
 
 def failure_of(error: Exception) -> dict[str, Any]:
-    """Return the cause of a failed job: a sentence, the failed symbol's index and the wraps that work, or None.
+    """Return the cause of a failed job: a sentence, and if known the failed symbol's index and the wraps that work.
 
     Args:
         error: exception that ended the job.

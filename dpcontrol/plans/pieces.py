@@ -95,9 +95,10 @@ class Goal(Brief):
 
 @dataclass(frozen=True)
 class SolvedPiece(Brief):
-    """Reference of a goal or of a transfer.
+    """Solved reference of a goal, or of the transfer to the next goal.
 
-    goal: None for a transfer. lift (n,): radians added to its angles.
+    text: name of the piece. goal: None for a transfer. lift (n,): whole turns of all pieces before it, added to the
+    goal's angles, rad; for a transfer, the lift of the goal after it.
     """
 
     text: str
@@ -461,7 +462,12 @@ STILL = 0.8
 
 
 class _Story:
-    """Stops and symbols in order, with their orbits and equilibria in the order of the first visit."""
+    """Stops and symbols of a plan in order, with their orbits and equilibria in the order of the first visit.
+
+    All attributes grow as pieces are entered and followed. `symbols` are connections and transfers, `wraps` those of
+    the stops between them (None beside a transfer), and `transfers` begin and end of each transfer, s. `orbits` holds
+    orbits and equilibria by name of the saddle or equilibrium and energy, J.
+    """
 
     def __init__(self, itinerary: Itinerary) -> None:
         """Start without stops; pieces are entered and followed in order."""

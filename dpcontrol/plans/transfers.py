@@ -316,7 +316,7 @@ def _rank(wanted: Transfer, arms: ArmChainParameters, motion: Trajectory) -> flo
 def _problem(
     arms: ArmChainParameters, limits: Limits, first: Trajectory, ends: tuple[Array, Array]
 ) -> ReferenceProblem:
-    """Return the optimisation problem of a transfer between two states `ends` (N,), guessed by a first motion."""
+    """Return the optimisation problem of a transfer between two states `ends` (N,), guessed by the motion `first`."""
     return ReferenceProblem(
         equations_of(arms, Level.CART),
         arms.base(),
