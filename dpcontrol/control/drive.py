@@ -94,7 +94,7 @@ class DriveWatch:
         """Return the least motion b, m, that counts as evidence: noise and counts hide smaller ones.
 
         Args:
-            count: count of the scale, m.
+            count: size of a count of the scale, m.
             variance: variance of its readings, m².
             noise: standard deviation of the noise on each command, m/s².
         """

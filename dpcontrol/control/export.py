@@ -228,7 +228,8 @@ def _coefficients(rows: Array) -> Array:
 def _pieces(rows: Array, errors: Array, accuracy: float) -> tuple[Array, Array]:
     """Return first ticks (P+1,) and coefficients (P, T, C) of the longest pieces with this accuracy of the command.
 
-    errors (C,) are the command's errors by a unit of each column.
+    `rows` (K, C): the columns at all ticks. `errors` (C,): the command's errors by a unit of each column. `accuracy`:
+    largest error of the command, m/s².
     """
     starts, coefficients = [0], []
     while starts[-1] < len(rows):

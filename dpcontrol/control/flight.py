@@ -176,10 +176,10 @@ class FlightPlanner:
     Its numbers are those of the laboratory's arms; arms of any size are scaled to these (`Scale`), and get the same
     flights.
 
-    `_limits`, `_terms` and `_parameters` are in the units of the laboratory's arms: the cart's limits, the largest
-    input with the soft limits of position and velocity and the weight of the cart's distance from the middle (4,), and
-    the base parameters (p,). They change only in the copies that `with_room` and `with_parameters` return. `_factors`
-    (N,) and `_sizes` (p,) convert states and base parameters to these units.
+    `_limits`, `_terms` and `_parameters` are in the units of the laboratory's arms, and change only in the copies that
+    `with_room` and `with_parameters` return. `_limits` are the cart's. `_terms` (4,) are the largest input, the soft
+    limits of position and velocity, and the weight of the cart's distance from the middle. `_parameters` (p,) are the
+    base parameters. `_factors` (N,) and `_sizes` (p,) convert states and base parameters to these units.
 
     Args:
         arms: parameters of the arms.

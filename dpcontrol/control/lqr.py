@@ -201,8 +201,8 @@ class HoldSession(Session):
 class ExtraEffects(Brief):
     """Disturbances w (E,) that an estimator adds to the state, such as unexplained accelerations of the arms.
 
-    Their names (E,), their effects E w on the state after a period, E (N, E), and the factors D (E,) in w+ = D w, by
-    which they decay in a period (`kept`).
+    They have `names` (E,). Their effect on the state after a period is E w, with `effects` E (N, E). In a period they
+    decay by factors D (E,), which are `kept`: w+ = D w.
     """
 
     names: tuple[str, ...]
@@ -249,7 +249,9 @@ def assumed_damping(model: SampledModel, x: Array, settings: HoldSettings, *, mo
 
         1 + L(z) = det(zI - A + BK) / det(zI - A) = Π (z - μ_closed) / (z - μ_open)  on |z| = 1,
 
-    with A, B of the model's own arms and K for damped ones. Åström & Murray, Feedback Systems, 2nd ed., section 10.3.
+    with A, B of the model's own arms, K for damped ones, and the eigenvalues μ of both matrices.
+
+    Source: Åström & Murray, Feedback Systems, 2nd ed., section 10.3.
 
     Args:
         model: model of arms and drive from tick to tick.

@@ -79,7 +79,7 @@ class Learning(Brief):
 
     def updated(self, section: NDArray[np.intp] | int, guess: Array, covariance: Array, surprise: Array
                 ) -> tuple[Array, Array]:  # fmt: skip
-        """Return δ̂ (…, m) and its covariance (…, m, m) after flights.
+        """Return the estimated errors δ̂ (…, m) and their covariance (…, m, m) after flights from section to section.
 
         Args:
             section: section (…) at which each flight began.

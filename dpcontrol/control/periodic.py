@@ -207,7 +207,9 @@ def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort:
 
 
 def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArray[np.complex128]:
-    """Return the multipliers (N,) of a period under p = -K ξ, largest first; the loop is stable if all are below 1.
+    """Return the multipliers (N,) of a period, largest first; the loop is stable if all moduli are below 1.
+
+    In each part of the period, the state's deviation ξ from the orbit becomes A ξ + B p with the input p = -K ξ.
 
     Args:
         matrices: A (m, N, N) of each part of the period.

@@ -557,8 +557,8 @@ def _by_time(model: SampledModel, path: TickedMotion, gains: Array, most: float)
 
     The drive's command leads so that its acceleration equals the reference's at the ticks.
 
-    `gains`: (K, N), or (K, N+1) with a lagging drive, the last on the cart's acceleration. `most`: largest
-    acceleration, m/s².
+    `path`: states and inputs of the reference at the ticks. `gains`: (K, N), or (K, N+1) with a lagging drive, the last
+    on the cart's acceleration. `most`: largest acceleration, m/s².
     """
     if not model.lag:
         return {"feedforward": path.commands, "gains": gains}

@@ -56,7 +56,7 @@ LINGERS = 0.05
 
 @dataclass(frozen=True)
 class FollowingSettings:
-    """Steps, tolerance and limits of continuation, in scaled units of (c, τ).
+    """Steps, tolerance and limits of continuation, in scaled units of the unknowns (c, τ) of `SymmetricShooting`.
 
     Attributes:
         largest_multiplier: largest measure `SIZE`. Beyond 1e7, the multipliers at one have errors above 1e-2 in double

@@ -164,7 +164,7 @@ class UnstableManifold(Brief, Generic[Orbit]):
 
         The scaled distance from the orbit is at most `distance`, and smaller if trajectories would otherwise cross the
         curve of seeds repeatedly. Seeds are corrected to the orbit's energy along the energy gradient. The derivative
-        neglects this correction of order δ², which slows Newton's method only slightly.
+        neglects this correction, which is of the order of the squared distance and slows Newton's method only slightly.
 
         Args:
             phases: any real phases (K,), 1 for a period.

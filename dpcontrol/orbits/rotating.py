@@ -233,7 +233,7 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
 
     Args:
         problem: shooting problem of the orbit.
-        unknowns: solution (ω, τ) (n + 1,), rad/s and s.
+        unknowns: solution (ω, τ) (n + 1,): first rates ω on the fixed set, rad/s, and duration τ of half a turn, s.
         arm: number of the arm, from 1.
         energy: energy of the orbit, J.
         newton_residual: scaled residual of the solution.
@@ -269,7 +269,7 @@ def section_trace(problem: HalfTurn, unknowns: Array) -> tuple[float, Array]:
 
     Args:
         problem: shooting problem of the orbit.
-        unknowns: solution (ω, τ) (n + 1,), rad/s and s.
+        unknowns: solution (ω, τ) (n + 1,): first rates ω on the fixed set, rad/s, and duration τ of half a turn, s.
     """
     end, monodromy = problem.system.propagator.flow_with_stm(problem.state(unknowns), problem.period(unknowns))
     return float(np.trace(monodromy)) - 2.0, end
@@ -308,7 +308,9 @@ class _Arrival(Brief):
 
 
 def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: RotatingSettings) -> list[Array]:
-    """Return guesses (ω, τ), rad/s and s, of rotating orbits, from a scan of the rates of given energy.
+    """Return guesses of rotating orbits, from a scan of the first rates of given energy.
+
+    A guess (ω, τ) (n + 1,) consists of the first rates ω, rad/s, and the duration τ of half a turn, s.
 
     The first rates of given kinetic energy form an ellipse, with the angle ψ as parameter. A guess lies at each sign
     change of the other arm's deviation after half a turn, and at each small minimum of its size. `arm`, `sense`: number

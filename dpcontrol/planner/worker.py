@@ -53,7 +53,7 @@ class Jobs:
         """Write one report: a line of a word and JSON.
 
         Args:
-            word: kind of the report.
+            word: kind of the report: "progress", "remark", "show:KIND" for the page, "done" or "failed".
             value: its value, which becomes JSON.
         """
         self._file.write(f"{word} {json.dumps(plain(value), ensure_ascii=False)}\n")

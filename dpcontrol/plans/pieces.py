@@ -337,7 +337,7 @@ def _off_last_orbit(goal: Goal, reference: Reference, lift: Array) -> float:
 class _Way:
     """A transfer between two goals.
 
-    turns (n,): candidates of whole turns of its ends.
+    `turns`: for each possible end of the transfer, the whole turns (n,) that are added to the next goal's angles.
     """
 
     transfer: Transfer
@@ -388,7 +388,7 @@ def ways_round(apart: Array) -> list[Array]:
     An arm that is within a tenth of a whole number of turns has one candidate, and any other arm has two.
 
     Args:
-        apart: distances (n,) of the arms, in turns.
+        apart: angles (n,) of the arms at the start of the transfer minus those of its end, in turns.
     """
     choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
     return [np.array(ways) for ways in product(*choices)]

@@ -350,7 +350,8 @@ def _missed(wanted: Transfer, durations: Array, failed: str) -> GoalMissed:
 def _between(motion: Reference, start: Array, ends: Sequence[Array] | Array) -> tuple[float, Array]:
     """Return the distance of a motion's ends from a required start and the nearest of several ends, and that end (N,).
 
-    Whole turns of the motion do not count. A stored motion with a small distance is a good first motion.
+    Whole turns of the motion do not count. A stored motion with a small distance is a good first motion. `start` (N,)
+    and each of `ends` (N,) are states of arms and cart.
     """
     n = len(start) // 2 - 1
     turns = np.pad(whole_turns((motion.states[0, 0] - start)[:n]), (0, n + 2))

@@ -110,7 +110,7 @@ class Energies:
 
         Args:
             energy: float, a number whose text is a decimal, or energies, which are returned.
-            within: the same for the distance.
+            within: largest distance from it, in one of the same forms; ignored for energies.
         """
         if isinstance(energy, Energies):
             return energy

@@ -90,7 +90,7 @@ def symbol_figures(symbols: Sequence[PlanSymbol], place: int) -> dict[str, Any]:
 
     Args:
         symbols: symbols and transfers in order.
-        place: place among them.
+        place: index of the symbol or transfer among them; negative from the end.
 
     Returns:
         Kind of the motion, its number from 1, their count and its name; empty without symbols.

@@ -117,7 +117,7 @@ class Scale:
 
         Args:
             limits: limits of the cart.
-            share: the share.
+            share: share of the limits, 1 for all of them.
         """
         bounds = np.array([limits.position, limits.velocity, limits.acceleration, limits.jerk])
         return Limits(*(share * self.length / self.time ** np.arange(4) * bounds).tolist())

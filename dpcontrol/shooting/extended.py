@@ -327,7 +327,7 @@ class _ExactEquations(ShootingEquations):
 
 
 def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
-    """Return the lifted γ(φ) (N,) at an end's phase, time-reversed for a stable manifold.
+    """Return the periodic orbit's lifted state γ(φ) (N,) at an end's phase φ, time-reversed for a stable manifold.
 
     `known`: the refined periodic orbit at this end.
     """

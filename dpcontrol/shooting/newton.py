@@ -48,13 +48,15 @@ from dpcontrol.words.searches import Concluded
 
 @dataclass(frozen=True)
 class ManifoldEnd(Brief):
-    """A point γ(φ) + a v(φ) on a local manifold.
+    """A point γ(φ) + a v(φ) on a local manifold: the periodic orbit's state and unstable vector at a phase (`Frame`).
 
     It is lifted by whole turns.
 
     Attributes:
         stable: True if the manifold is the time-reversed unstable one. Phase and amplitude are then those of the
             reversed point and grow backward in time.
+        phase: φ, 1 for a period.
+        amplitude: a, signed by the branch.
         turns (N,): whole turns added to the coordinates.
     """
 
@@ -485,9 +487,10 @@ class _Linear:
 
 @dataclass(frozen=True)
 class _Step:
-    """An accepted step: its end, its damping, its simplified step, and ω if it was long enough to show it.
+    """An accepted step: its end, its damping and its simplified step.
 
-    `simplified`: scaled Newton step from its end with the Jacobian of its begin, in one row.
+    `simplified`: scaled Newton step from its end with the Jacobian of its begin, in one row. `lipschitz`: the Lipschitz
+    constant ω (`Shot`), None if the step was too short to show it.
     """
 
     unknowns: Unknowns
@@ -723,7 +726,8 @@ class ErrorEstimate(Brief):
 
     Attributes:
         condition: 1-norm condition number of the scaled Jacobian.
-        kantorovich: h, None if no step was long enough for ω.
+        kantorovich: Kantorovich's h, the product of the Lipschitz constant ω and the last Newton step (`Shot`); None if
+            no step was long enough for ω.
         radius: Kantorovich's distance of the true orbit's nodes, None if h ≥ 1/2. It does not include rounding errors.
         energy_error: largest error over the nodes, in the energy's unit.
         departure: largest distance of a node from the guess.

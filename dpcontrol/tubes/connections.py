@@ -263,6 +263,10 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, distance: float
         curve: the periodic orbit.
         sign: +1 to search forward in time, -1 backward.
         distance: scaled distance of the approach.
+
+    Returns:
+        Time from the section, positive in either direction, and phase of the nearest point, 1 for a period; both NaN if
+            the connection does not come so near.
     """
     from scipy.optimize import root_scalar
 
