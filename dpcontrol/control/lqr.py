@@ -290,8 +290,8 @@ def hold_controller(
         settings: weights and additional damping.
         seconds: duration of the hold, s.
         extras: disturbances w that the estimator adds to the state, which get gains; None for no such gains.
-        dry: viscous friction that has the mean effect of the arms' dry friction, over √(G M); it is added to the
-            additional damping.
+        dry: viscous friction that has the mean effect of the arms' dry friction, over √(G M). It is added to the
+            additional damping of the settings, or else to the largest damping that the arms may allow.
 
     Raises:
         GoalMissed: the equilibrium cannot be stabilised.
