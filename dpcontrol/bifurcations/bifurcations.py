@@ -80,7 +80,9 @@ class Located(Brief):
     """A located bifurcation or touch of the section.
 
     Attributes:
+        kind: "saddle-node", "pitchfork" or "section-artefact".
         value: of the followed quantity.
+        link: the connection at the event.
         state (N,): representative state of the connection.
         residual: of the equations.
     """
@@ -410,6 +412,10 @@ class Found:
     """Solved links at one value of the followed quantity, without images under the symmetry S.
 
     Attributes:
+        value: value of the followed quantity.
+        energy: energy of the orbits, J.
+        points: the solved links.
+        weight: number of connections for which each link stands: 2 with its image under S, else 1.
         unmatched: number of crossings of the cuts that are no connections.
         failed: number of crossings that did not converge.
         unresolved: cuts that are not resolved.
@@ -482,7 +488,12 @@ class Interval:
 
 
 class Sweep:
-    """The problem of a sweep, with cached searches."""
+    """The problem of a sweep, with cached searches.
+
+    `_found` holds the searches by the value of the followed quantity; connections that a search missed are added later.
+    `_intervals` holds the explanations of changes by the lowest and highest value of their interval, and loses those at
+    a value whose search was amended. `_counts` holds numbers of section crossings by link and value.
+    """
 
     def __init__(self, course: Quantity, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
         """Prepare searches for connections from `source` to `target` that cross their section `crossings` times.
@@ -596,7 +607,7 @@ class Sweep:
         return float(q), float(p)
 
     def _placed(self, state: Array, value: float) -> Array:
-        """Return the point (q, p/p₀) of a state on the section."""
+        """Return the point (q, p/p₀) of a state (N,) on the section at a value of the followed quantity."""
         return section_points(self.problem.course.at(value)[0], self.problem.section(value), state)
 
     def _first_crossing(self, link: Link, value: float) -> Array:
@@ -1026,7 +1037,10 @@ def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
 
 
 def _unexplained(sweep: Sweep, low: float, high: float) -> UnexplainedChange:
-    """Return the report of an interval whose events do not explain the change of its count, with up to three causes."""
+    """Return the report of an interval whose events do not explain the change of its count, with up to three causes.
+
+    `low` and `high` are the searched values of the followed quantity at its ends.
+    """
     interval, lower_search, upper_search = sweep.between(low, high), sweep.search(low), sweep.search(high)
     counts = lower_search.count, upper_search.count, interval.gain * upper_search.weight
     return UnexplainedChange(

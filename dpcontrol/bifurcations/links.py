@@ -86,13 +86,13 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Link:
-    """A connection between two seeds.
+    """A connection between a seed of the unstable tube and one of the stable tube.
 
     Attributes:
-        branches: (±1, ±1).
-        phases: (φ_u, φ_s).
-        duration: T, s.
-        turns (N,): whole turns.
+        branches: branches of both tubes, ±1.
+        phases: phases (φ_u, φ_s) of the seeds on both orbits, 1 for a period.
+        duration: flight time T from seed to seed, s.
+        turns (N,): whole turns of the coordinates on the way.
     """
 
     branches: tuple[int, int]
@@ -102,7 +102,7 @@ class Link:
 
     @property
     def unknowns(self) -> Array:
-        """(φ_u, φ_s, T)."""
+        """The phases and the duration (φ_u, φ_s, T)."""
         return np.array([*self.phases, self.duration])
 
     def at(self, unknowns: Sequence[float] | Array) -> "Link":
@@ -116,7 +116,7 @@ class Link:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """A solved point of a path: value of the followed quantity and tangency σ."""
+    """A solved point of a path: a link, the value H of the followed quantity, and the tangency σ of both tubes."""
 
     link: Link
     value: float
@@ -124,7 +124,7 @@ class PathPoint:
 
     @property
     def coordinates(self) -> Array:
-        """(φ_u, φ_s, T, H)."""
+        """The link's phases and duration and the followed quantity (φ_u, φ_s, T, H), a point of `LinkCurve`."""
         return np.append(self.link.unknowns, self.value)
 
 
@@ -135,7 +135,7 @@ class Match(Brief):
     Attributes:
         gap (N,): scaled.
         jacobian (N, 3): derivative by (φ_u, φ_s, T).
-        tangency: σ.
+        tangency: σ, zero if both tubes touch there (see `LinkProblem._match`).
         state (N,): at the middle.
     """
 
@@ -172,6 +172,9 @@ def phase_gap(first: float, second: float) -> float:
 
 class LinkProblem:
     """Matching of two saddles' tubes at any value of the followed quantity, with cached orbits.
+
+    `_manifolds` holds the unstable manifolds of all orbits so far, by saddle and value of the followed quantity.
+    `match` is the function `_match` with a cache of its last sixteen results.
 
     Args:
         course: followed quantity of systems with two degrees of freedom.
@@ -424,7 +427,9 @@ class LinkProblem:
 
 @dataclass(frozen=True)
 class LinkCurve:
-    """The curve of a link's continuation (φ_u, φ_s, T, H), a problem of module continuation.
+    """The curve of a link's continuation, a problem of module continuation.
+
+    Its unknowns are the phases φ_u and φ_s of both seeds, the duration T, s, and the followed quantity H.
 
     Attributes:
         problem: matching of two tubes.

@@ -129,7 +129,13 @@ def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Fun
 
     (command, command_noise, demands, state, drive) -> demands, acceleration
 
-    Parts of the machine code's rows have all lanes, of which the first is used.
+    zeros (n,), noise (n+1,), steps (n+1,): see `PeriodKind.measured`. drive: `DriveNumbers`. present, last: 1 for each
+    position that is read, and the last reading, which replaces a missing one. command m/s²: from the loop.
+    command_noise m/s²: error of the drive. demands m/s²: commands on their way, oldest first. acceleration m/s²: of the
+    drive in the coming period.
+
+    state, present, last, command, reading and acceleration are parts of the machine code's rows. They have all lanes,
+    of which the first is used.
 
     Args:
         kind: kind of the bench's period.
@@ -175,6 +181,8 @@ def bound(
     function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]
 ) -> tuple[Callable[[], None], tuple[object, ...]]:
     """Return a call of a function between fixed arrays, without copies, and the objects that must live as long.
+
+    The call takes no arguments and returns None: it reads the inputs' arrays and overwrites the outputs'.
 
     Args:
         function: function of dense vectors.

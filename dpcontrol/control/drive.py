@@ -40,6 +40,7 @@ _COUNTS, _SIGMAS, _ACCELERATION = 2.0, 6.0, 1.0
 
 
 _Memory = namedtuple("_Memory", "read due late lagged arms driven peak lasts against doubt")
+"""Parts of the watch's memory, see `DriveWatch.memory`."""
 
 
 CartReading = namedtuple("CartReading", "fresh repeats moved ahead visible")
@@ -66,7 +67,7 @@ class DriveWatch:
 
     @cached_property
     def memory(self) -> Layout[_Memory]:
-        """Values stored from tick to tick.
+        """Values stored from tick to tick, with the letters of the module's text.
 
         read, due, late (2): y, c and c', m, and their rates, m/s. lagged: acceleration with more lag, m/s².
 
@@ -93,7 +94,7 @@ class DriveWatch:
         """Return the least motion b, m, that counts as evidence: noise and counts hide smaller ones.
 
         Args:
-            count: count of the scale, m.
+            count: size of a count of the scale, m.
             variance: variance of its readings, m².
             noise: standard deviation of the noise on each command, m/s².
         """

@@ -379,7 +379,7 @@ class FilterEquations:
         noise_inputs: ca.SX,
         origin: ca.SX | None = None,
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return z after a period, and its Jacobian and Q (N+E, N+E), both for T z (see `carried`).
+        """Return z after a period, and its Jacobian and the process noise Q (N+E, N+E), both for T z (see `carried`).
 
         Args:
             z: present z (N+E,).
@@ -558,7 +558,7 @@ def _compiled(
 ) -> tuple[FilterEquations, Compiled, Compiled, Compiled]:
     """Return a filter's equations, and its step, measurement update and prediction as machine code.
 
-    Cached, so that all filters of a process with the same equations, period (s) and extras compile once.
+    Cached, so that all filters of a process with the same equations, period (s) and extras (`augments`) compile once.
     """
     filter_equations = FilterEquations(equations, period, augments)
     step, update = (
@@ -569,12 +569,18 @@ def _compiled(
 
 
 _Outputs = namedtuple("_Outputs", "z covariance sigmas innovation nis used sound")
+"""Outputs of `FilterEquations.function`.
+
+used: number of positions present. sound: a number that is finite exactly if the estimate is.
+"""
 
 
 class KalmanFilter(Estimator):
     """Base of all filters, which compiles the model's equations.
 
     The functions `whole` and `correct` are the step and the measurement update alone; `ahead_of` is the prediction.
+    `process` (P,) are the parameters of the process noise, see `FilterSettings.process`. All attributes are constant:
+    the estimate before a step is an argument.
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
@@ -627,7 +633,8 @@ class CompiledEkf(KalmanFilter):
     """The extended Kalman filter for one sampled model; an `Estimator`. Not thread-safe.
 
     Attributes:
-        inputs: of `whole` and `correct`, (M,); missing positions also need finite values.
+        inputs: of `whole` and `correct`, (M,); each call overwrites memory, command and measurement, and missing
+            positions also need finite values. `_ahead_inputs` are the inputs of `ahead_of`.
         out: layout of their outputs, of which z and covariance are the memory for the next tick.
     """
 
@@ -648,7 +655,7 @@ class CompiledEkf(KalmanFilter):
             inputs[places["parameters"]], inputs[places["process"]] = model.parameters, self.process
 
     def _begun(self, z: Array, covariance: Array) -> Estimate:
-        """See `KalmanFilter._begun`."""
+        """Return the estimate z (N+E,) with this covariance (N+E, N+E), before a measurement."""
         n, no_innovation = self.model.dimension, np.zeros(self.model.arms + 1)
         memory = np.append(z, packed(covariance))
         return Estimate(z[:n], z[n:], np.sqrt(covariance.diagonal()), no_innovation, float("nan"), 0, memory)

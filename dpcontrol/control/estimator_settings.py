@@ -119,12 +119,13 @@ class FilterSettings(Settings, table="estimator"):
         rate_noise, cart_noise: floors of Q, rad/s/√s and m/s/√s.
         first_angle, first_rate, first_cart: initial standard deviations, rad, rad/s and m (cart's velocity m/s).
         augment: any of zeros, disturbance, drive, friction, dry, parameters.
-        zero_error: standard deviation, rad.
-        disturbance, disturbance_time: standard deviation, rad/s², and duration, s.
-        drive_error, drive_time: standard deviation, m/s², and duration, s.
+        zero_error: standard deviation of the encoders' zeros, rad.
+        disturbance, disturbance_time: standard deviation, rad/s², and duration, s, of the arms' further accelerations.
+        drive_error, drive_time: standard deviation, m/s², and duration, s, of the drive's error.
         late_drive: share of each command change that adds to the drive's error, as for an unmodelled lag. It is reduced
             in proportion at periods above 1 ms.
-        friction_error, dry_error, model_error: standard deviations, relative.
+        friction_error, dry_error, model_error: standard deviations of the relative errors of friction, of dry friction
+            over gravity's torques, and of the relative errors of the parameters.
         learnt: covariance of the constant errors at the start, row by row in the order of `constants`; empty for
             independent errors of the standard deviations above.
     """

@@ -162,6 +162,8 @@ def identity(program: TickProgram, schedule: GainSchedule) -> str:
 class _Tables(NamedTuple):
     """Values that change from tick to tick, as polynomials in pieces of the reference.
 
+    A row holds the gains and the reference of a tick, see `TickEquations.row`; L is the number of its entries.
+
     Attributes:
         columns: indices (C,) of the stored entries in a row without the reference's angles; the states are first.
         varying: True for each entry (L,) that changes.
@@ -176,7 +178,7 @@ class _Tables(NamedTuple):
     terms: Array
     """Coefficients (P, T, C) of Chebyshev polynomials over each piece."""
     names: tuple[str, ...]
-    """Names (C,)."""
+    """Names (C,) of the stored entries, such as "gains 2"."""
 
 
 def _tables(equations: TickEquations, schedule: GainSchedule, *, single: bool) -> _Tables:
@@ -226,7 +228,8 @@ def _coefficients(rows: Array) -> Array:
 def _pieces(rows: Array, errors: Array, accuracy: float) -> tuple[Array, Array]:
     """Return first ticks (P+1,) and coefficients (P, T, C) of the longest pieces with this accuracy of the command.
 
-    errors (C,) are the command's errors by a unit of each column.
+    `rows` (K, C): the columns at all ticks. `errors` (C,): the command's errors by a unit of each column. `accuracy`:
+    largest error of the command, m/s².
     """
     starts, coefficients = [0], []
     while starts[-1] < len(rows):
@@ -245,7 +248,11 @@ def _pieces(rows: Array, errors: Array, accuracy: float) -> tuple[Array, Array]:
 
 
 _ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "age", "acts", "now")
-"""Arguments of the C function, in order."""
+"""Arguments of the C function, in order.
+
+`acts` (C,) are the entries of the row for the tick in which the command acts (`_Tables.columns`), and `now` (N,) is the
+reference's state in this tick.
+"""
 
 
 def _function(program: TickProgram, equations: TickEquations, tables: _Tables) -> ca.Function:
@@ -624,10 +631,7 @@ def model_description(
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: bytes of the archive.
-
-    If the binary is missing, it holds the reason, else "".
-    """
+    """A co-simulation unit: bytes of the archive, and in `lacks` the reason why the binary is missing, else ""."""
 
     archive: bytes
     lacks: str

@@ -78,7 +78,7 @@ def braking_gains(arms: ArmChainParameters) -> Array:
 
 
 class Stage(NamedTuple):
-    """Iterations with one weight of the end and of the soft limits.
+    """Iterations of the search with one weight `end` of the end's cost V and one weight `soft` of the soft limits.
 
     With `diagonal`, the end's cost is that of the scaled differences of angles, rates and cart.
     """
@@ -175,6 +175,11 @@ class FlightPlanner:
 
     Its numbers are those of the laboratory's arms; arms of any size are scaled to these (`Scale`), and get the same
     flights.
+
+    `_limits`, `_terms` and `_parameters` are in the units of the laboratory's arms, and change only in the copies that
+    `with_room` and `with_parameters` return. `_limits` are the cart's. `_terms` (4,) are the largest input, the soft
+    limits of position and velocity, and the weight of the cart's distance from the middle. `_parameters` (p,) are the
+    base parameters. `_factors` (N,) and `_sizes` (p,) convert states and base parameters to these units.
 
     Args:
         arms: parameters of the arms.
@@ -462,7 +467,8 @@ class Flight(Concluded, Timed):
         cause: how the search ended.
         limits: limits of the cart, of which the flight leaves a reserve.
         planner: planner that found the flight.
-        remedy: name and value of a limit with which a flight was found instead, or None.
+        remedy: if the search failed, name and value of a changed limit of the cart with which a flight was found, or
+            None.
     """
 
     target: str
@@ -538,9 +544,11 @@ def _beyond(value: ca.SX, limit: ca.SX) -> ca.SX:
 class _FlightStep:
     """One step of a motion, symbolically.
 
-    The state is that of the equations and the length of the step. `accurate` is the next state for motions, `following`
-    a cheaper one for derivatives. `excess` is the scaled excess over the soft limits. `terms` are the largest input,
-    the soft limits of position and velocity, and the weight of the cart's distance from the middle.
+    The state `moving` (N+1,) is that of the equations and the length of the step. `accurate` (N,) is the next state of
+    the equations for motions, `following` a cheaper one for derivatives. `cost` is the step's part of J, and `excess`
+    (2,) the scaled excess over the soft limits, which J weighs by `soft`. `terms` (4,) are the largest input, the soft
+    limits of position and velocity, and the weight of the cart's distance from the middle. `parameters` (p,) are the
+    base parameters.
     """
 
     moving: ca.SX
@@ -573,7 +581,7 @@ class _FlightStep:
         """Return one step of iLQR's backward recursion, from the value at the step's end to that at its begin.
 
         Its outputs are the change of the input, the gains (N+1,), and gradient (N+1,) and Hessian ((N+1)²,) of the
-        value.
+        value, the cost J from the step's begin on.
 
         In the formulas, q_… are derivatives of the step's cost plus the value at its end, by the state z and by the
         input u. An input at its limit has zero gains.

@@ -63,6 +63,8 @@ class Program:
         waits: phase of the orbit, s, at which each stay but the last ends.
         lasts: minimum ticks of each segment. The last segment continues to the end of the run, which includes time
             for longer stays.
+        ticks: number of periods of the whole program, that time included.
+        kind: name of the law used in logs.
     """
 
     segments: tuple[Keep, *tuple[Segment, ...]]
@@ -85,7 +87,10 @@ class Program:
 class ProgramSession(Session):
     """The active segment and its session.
 
-    It also holds the segment's start, and the turns between flight and reference.
+    A handover changes all of the following. `_index` is the number of the active segment, from 0, `_session` its
+    session, and `_began` its first tick. `_lift` (N,) are the whole turns between the run and a flight's reference,
+    rad, zero during a stay. `_past` is the time since the last passage of a stay's phase of leaving, s, at the last
+    tick at which `_due` tested it; NaN before the first test.
     """
 
     def __init__(self, program: Program) -> None:

@@ -107,7 +107,7 @@ class HoldController(Brief):
     Attributes:
         ticks: number of periods.
         drive_gain: gain on the cart's acceleration, for a lagging drive.
-        extra_gains: gains (E,) on the estimator's extras `names`.
+        extra_gains: gains (E,) on the disturbances that the estimator adds to the state, its extras `names`.
         cost: matrix P (N, N) of the cost-to-go.
     """
 
@@ -167,7 +167,8 @@ class HoldController(Brief):
 class HoldSession(Session):
     """A hold during one run.
 
-    `wanted` (N,) is the equilibrium with the run's turns.
+    `_wanted` (N,) is the equilibrium with the run's turns, `_gain` (N,) the gains on the deviation from it, and
+    `_extra_gains` (E,) those on the estimator's extras, or None. None of them changes during the run.
     """
 
     def __init__(self, controller: HoldController, wanted: Array) -> None:
@@ -198,9 +199,10 @@ class HoldSession(Session):
 
 @dataclass(frozen=True, eq=False)
 class ExtraEffects(Brief):
-    """Extra quantities of an estimator.
+    """Disturbances w (E,) that an estimator adds to the state, such as unexplained accelerations of the arms.
 
-    Names (E,), effects E (N, E) per period, decay factors D (E,).
+    They have `names` (E,). Their effect on the state after a period is E w, with `effects` E (N, E). In a period they
+    decay by factors D (E,), which are `kept`: w+ = D w.
     """
 
     names: tuple[str, ...]
@@ -215,7 +217,8 @@ def _regulator(
 
     With a lagging drive, the cart's acceleration is another state.
 
-    `x` (N,): equilibrium. `damping`: viscous friction beyond the model's, over √(G M).
+    `x` (N,): equilibrium. `settings`: weights of state and command; their own damping is not used. `damping`: viscous
+    friction beyond the model's, over √(G M).
 
     Raises:
         GoalMissed: the equilibrium cannot be stabilised.
@@ -246,7 +249,9 @@ def assumed_damping(model: SampledModel, x: Array, settings: HoldSettings, *, mo
 
         1 + L(z) = det(zI - A + BK) / det(zI - A) = Π (z - μ_closed) / (z - μ_open)  on |z| = 1,
 
-    with A, B of the model's own arms and K for damped ones. Åström & Murray, Feedback Systems, 2nd ed., section 10.3.
+    with A, B of the model's own arms, K for damped ones, and the eigenvalues μ of both matrices.
+
+    Source: Åström & Murray, Feedback Systems, 2nd ed., section 10.3.
 
     Args:
         model: model of arms and drive from tick to tick.
@@ -280,12 +285,13 @@ def hold_controller(
     """Return the regulator for an equilibrium with the cart in the middle.
 
     Args:
-        state: equilibrium (2n,) of the pendulum.
+        state: equilibrium (2n,) of the pendulum, or a state that begins with it; the cart's entries are ignored.
         model: model of arms and drive from tick to tick.
         settings: weights and additional damping.
         seconds: duration of the hold, s.
-        extras: extra quantities that receive gains.
-        dry: viscous friction that replaces the model's dry friction, over √(G M).
+        extras: disturbances w that the estimator adds to the state, which get gains; None for no such gains.
+        dry: viscous friction that has the mean effect of the arms' dry friction, over √(G M). It is added to the
+            additional damping of the settings, or else to the largest damping that the arms may allow.
 
     Raises:
         GoalMissed: the equilibrium cannot be stabilised.

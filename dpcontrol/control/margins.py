@@ -106,7 +106,7 @@ class NominalLoop:
     limits: Limits
 
     def lost_at(self, gain: Array, delay: Array, lag: Array) -> Array:
-        """Return the times, s, at which half of the runs with changed drives are lost.
+        """Return the times (S,), s, at which half of the runs with each of S changed drives are lost.
 
         Each drive is tried with several initial errors. The time is infinite if fewer than half are lost. A run is lost
         if it is stopped, if it leaves the track or the reference, or if the loop shakes the cart. In the last tenth,

@@ -63,13 +63,13 @@ _MOST_PERIODS = 5000
 
 @dataclass(frozen=True, eq=False)
 class Learning(Brief):
-    """Filter of the model's parameter errors, updated at each section.
+    """Filter of the model's m relative parameter errors δ, updated at each of k sections.
 
     Attributes:
-        sensitivities: d (k, 2n, m).
-        noise: covariance (k, 2n, 2n).
-        shifts: s (k, m), m/s².
-        prior: prior covariance (m, m).
+        sensitivities: D (k, 2n, m), derivatives of the pendulum's state at the next section by the errors.
+        noise: covariance (k, 2n, 2n) of measured minus predicted states at the next section for a correct model.
+        shifts: s (k, m), changes of the pulse after each section by a unit of each error, m/s².
+        prior: covariance (m, m) of the errors before the run.
     """
 
     sensitivities: Array
@@ -79,12 +79,12 @@ class Learning(Brief):
 
     def updated(self, section: NDArray[np.intp] | int, guess: Array, covariance: Array, surprise: Array
                 ) -> tuple[Array, Array]:  # fmt: skip
-        """Return δ̂ (…, m) and its covariance (…, m, m) after flights.
+        """Return the estimated errors δ̂ (…, m) and their covariance (…, m, m) after flights from section to section.
 
         Args:
             section: section (…) at which each flight began.
             guess: δ̂ (…, m) before.
-            covariance: its covariance (…, m, m).
+            covariance: its covariance (…, m, m) before.
             surprise: measured minus predicted state (…, 2n) of the pendulum at the next section.
         """
         sensitivity = self.sensitivities[section]
@@ -288,7 +288,9 @@ class OgyController(Brief):
     times: Array
     """Times (k,) of the sections, s."""
     states: Array
+    """States (k, N) of the orbit on the sections."""
     normals: Array
+    """Normals (k, N) of the sections, by which a deviation from `states` gives the time since the crossing, s."""
     projections: Array
     """Projections (k, 2n, 2n) of the pendulum onto the sections."""
     gains: Array
@@ -349,8 +351,9 @@ class OgyController(Brief):
 _Course = namedtuple("_Course", "section elapsed pulse foreseen flying lift guess covariance crossings")
 """The last crossed section, the time since, s, the active pulse, m/s², and the plant errors of one or S runs.
 
-foreseen (N,): the model's prediction since that section; flying: True if it is valid. lift (N,): whole turns, rad.
-crossings: number of crossings in time.
+foreseen (N,): the model's prediction since that section; flying: True if it is valid. lift (N,): whole turns between
+run and orbit, rad. guess (m,), covariance (m, m): estimated relative errors δ̂ of the plant's parameters. crossings:
+number of crossings in time. For S runs, all values have a first axis (S,).
 """
 
 
@@ -359,6 +362,10 @@ class OgySession(ClockedSession):
 
     With `count`, the session serves as many lockstep runs from the first state. The values are then arrays (S,), since
     runs cross their sections at different ticks.
+
+    `course` (`_Course`) belongs to tick `_tick`, the last one in which the law was called. `_sent`, m/s², is the
+    command of that tick, by which the model predicts the next one (`_step`). `_lost` is set in the ticks in which a
+    section was found not to be crossed: its index and the clock's shift, s; otherwise it is None.
     """
 
     def __init__(self, controller: OgyController, count: int | None = None) -> None:
@@ -419,7 +426,9 @@ class OgySession(ClockedSession):
         return Action(float(forward), float(feedback), reference, Mode.PULSING if feedback else Mode.HOLDING, event)
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback, m/s², and the reference, after checks whether a section was crossed.
+        """Return feedforward and feedback, m/s², and the reference's state, after a check for a crossed section.
+
+        They are numbers and (N,) for one run, (S,) and (S, N) for many.
 
         Args:
             tick: the tick in which the command acts.
@@ -532,7 +541,10 @@ class OgySession(ClockedSession):
 
 
 def _many_steps(model: SampledModel, count: int) -> Callable[[Array, Array], Array]:
-    """Return a function of states (S, N) and commands (S,), m/s², that returns the states a period later."""
+    """Return a function of states (S, N) and commands (S,), m/s², that returns the states a period later.
+
+    `count` is the number S of lockstep runs.
+    """
     parameters = np.repeat(model.parameters[:, None], count, axis=1)
     return lambda states, commands: (
         model.machine(np.concatenate([states.T, commands[None], parameters]), np.empty(states.T.shape)).T

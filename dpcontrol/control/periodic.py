@@ -207,7 +207,9 @@ def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort:
 
 
 def closed_multipliers(matrices: Array, responses: Array, gains: Array) -> NDArray[np.complex128]:
-    """Return the multipliers (N,) of a period under p = -K ξ, largest first; the loop is stable if all are below 1.
+    """Return the multipliers (N,) of a period, largest first; the loop is stable if all moduli are below 1.
+
+    In each part of the period, the state's deviation ξ from the orbit becomes A ξ + B p with the input p = -K ξ.
 
     Args:
         matrices: A (m, N, N) of each part of the period.
@@ -234,9 +236,11 @@ class OrbitController(Brief):
     gains: Array
     """Gains (M, N)."""
     normals: Array
-    """Normals (M, N), see `PhaseSection`."""
+    """Normals (M, N), by which a deviation from the orbit gives its lateness, s, see `PhaseSection`."""
     feedforward: Array
+    """Accelerations of the cart (M,), m/s²."""
     period: float
+    """Period of the loop, s."""
     ticks: int
     """Number of periods."""
     by_phase: bool
@@ -283,7 +287,9 @@ class OrbitController(Brief):
 class OrbitSession(ClockedSession):
     """An orbit's clock, or clocks (S,).
 
-    lift (N,): whole turns between run and table.
+    `_time` is the time on the orbit's clock, s, or times (S,), at the loop's tick `_tick`, the last one in which the
+    law was called; both change at each call. `_lift` (N,) are the whole turns between run and table, rad, which only
+    `resynchronise` changes.
     """
 
     def __init__(self, law: OrbitController, tick: int, time: Any, lift: Array, lanes: Lanes = ONE) -> None:

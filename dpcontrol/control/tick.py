@@ -174,21 +174,30 @@ class KnownMechanics(NamedTuple):
 
 
 _Acts = namedtuple("_Acts", "ahead drive back coming")
-"""State (N,) at which the command acts, and the cart's acceleration then, m/s².
+"""State `ahead` (N,) at which the command acts, and the cart's acceleration `drive` then, m/s².
 
 back m/s²: feedback in addition to the row's. coming m/s²: acceleration in the coming period, None if not yet known.
 """
 _Law = namedtuple("_Law", "forward feedback finite untrusted by_own own")
 """Feedforward and feedback, m/s².
 
-finite: 1 if both are finite. untrusted: see `TickEquations.law`. by_own, own: feedback and memory of a user's law.
+finite: 1 if both are finite and the estimate is sound. untrusted: number of the last extra beyond its trust, from 1, or
+0 (`TickEquations.law`). by_own, own: feedback, m/s², and next memory of a user's law.
 """
 _Means = namedtuple("_Means", "nis strain silent distance blind error")
-"""Checked means, see `TickEquations.memory`. distance: of this tick, rad. blind: 1 during a restart."""
+"""Checked means nis, strain, silent and error, see `TickEquations.memory`.
+
+distance: largest distance of an angle from the reference in this tick, rad. blind: 1 while a restarting filter has no
+reading yet.
+"""
 _Verdict = namedtuple("_Verdict", "outcome stopped sensor watch")
 """Outcome of a tick, that which stopped the run or 0, the number of a stuck sensor or 0, and the watch's memory."""
 _Path = namedtuple("_Path", "forward feedback wish command acting saturated after")
-"""Parts of the command, wish and command, m/s², the cart's acceleration, 1 if it was cut, and the memory."""
+"""The command of a tick with its parts, m/s², and the memory `after` it.
+
+forward, feedback: parts of the command before limits, whose sum is `wish`. command: sent to the drive. acting: mean
+acceleration of the cart in the coming period. saturated: 1 if a limit cut the command.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,8 +205,9 @@ class TickEquations:
     """The tick of one filter, delay and law.
 
     In the methods, m, r and c are the memory, the reading and the constants of a tick as expressions, with the names in
-    `memory`, `reading` and `numbers`. N is the number of states, n of arms, E of extras. z (N+E,) is the state followed
-    by the extras.
+    `memory`, `reading` and `numbers`. `known` holds them together with the row of the table, the estimate, and the
+    state at which the command acts (`Known`). N is the number of states, n of arms, E of extras. z (N+E,) is the state
+    followed by the extras, which are disturbances and errors of parameters that the filter estimates as well.
 
     Attributes:
         whole, lead: whole periods of the delay, and periods of prediction for the command.
@@ -921,7 +931,10 @@ class TickEquations:
         return _function("tick", {"reading": reading, "row": row, "numbers": numbers, "memory": memory}, result)
 
     def sense(self) -> ca.Function:
-        """Return the first part of a split tick, the filter's update: (memory, reading, numbers) -> `sensed`."""
+        """Return the first part of a split tick (see `finish`), the filter's update.
+
+        (memory, reading, numbers) -> the estimate, in the layout `sensed`.
+        """
         (reading, reading_parts), _, (numbers, constants), (memory, memory_parts) = self._symbols()
         result = self.sensed.joined(self._sense(memory_parts, reading_parts, constants))
         return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, result)
@@ -939,14 +952,19 @@ class TickEquations:
     def finish(self, *, predicts: bool) -> ca.Function:
         """Return the second part of a split tick, which follows the law.
 
-        (reading, row, numbers, memory, sensed, ahead, drive, back) -> memory and report.
+        (reading, row, numbers, memory, sensed, ahead, drive, back[, coming]) -> memory and report.
 
-        ahead (N,), drive m/s²: state for which the command is computed, and the cart's acceleration then. back m/s²:
-        feedback in addition to the row's. coming m/s²: last input, the acceleration in the coming period, if the memory
-        lacks the pending commands. Without `predicts`, the filter's memory is unchanged.
+        A tick is split if Python code runs in its middle: a law with its own clock, which computes `back` from `ahead`,
+        another estimator, which provides `sensed`, or the repeated prediction over a delay too long to unroll.
+
+        reading, row, numbers, memory: inputs of a whole tick; the row holds gains and reference of the tick. sensed:
+        output of the first part, the estimate. ahead (N,), drive m/s²: state for which the command is computed, and the
+        cart's acceleration then. back m/s²: feedback in addition to the row's. coming m/s²: optional last input, the
+        command that acts in the coming period, for a memory without the pending commands (`unrolled` is False).
 
         Args:
-            predicts: True to predict the next state, False to keep the filter's memory.
+            predicts: True to predict the filter's next state, False to keep the filter's memory, if another estimator
+                replaces the filter.
         """
         (reading, reading_parts), (row, row_parts), (numbers, constants), (memory, memory_parts) = self._symbols()
         sensed, sensed_parts = self.sensed.symbols("sensed")
@@ -1024,7 +1042,8 @@ def _tick_equations(
     All runs of a process share both, so each function is compiled once.
 
     path: whole periods of the delay and periods of prediction, or None for a delay too long to unroll. mechanics: True
-    for play, True for a belt, and True for each measured arm.
+    for play, True for a belt, and True for each measured arm. augments: extras of the filter. shares, lags, own: see
+    the attributes of `TickEquations`.
     """
     filters = FilterEquations(equations, period, augments, as_measured=True)
     whole, lead = path or (0, 0)
@@ -1049,9 +1068,13 @@ class TickProgram:
     It belongs to one model, filter, delay and law, and computes `runs` runs in lockstep.
 
     Arrays have a column for each run and fill whole vectors of the processor, because partial vectors round
-    differently. So a single run equals one of many. bounds: see `Numbers`.
+    differently. So a single run equals one of many.
 
-    noise (n+1, n+1) is the covariance of the measured positions.
+    The arrays of inputs and outputs are made once, and each tick overwrites them. `_inputs` has the parts `reading`,
+    `row`, `_constants` (by name: `numbers`) and `stored` (by name: `memory`), in this order. The caller writes reading
+    and row before a tick. `_out` receives the next memory, `_kept`, which is then copied into `stored`, and the report.
+    `_sent` holds the pending commands, oldest first; for delays too long to unroll it is an array of its own. `_made`
+    holds the compiled functions by name.
     """
 
     def __init__(
@@ -1081,7 +1104,7 @@ class TickProgram:
         self._delay = whole, self.lead = whole_periods(delay)
         mechanics = mechanics or KnownMechanics((), 0.0, 0.0)
         unrolls = self.lead <= UNROLLED
-        # Common code for delays too long to unroll: the pending commands are stored here.
+        # All delays too long to unroll share their compiled code, so this object stores the pending commands.
         path = self._delay if unrolls else None
         self.equations, self._made = _tick_equations(
             model.equations,
@@ -1200,7 +1223,7 @@ class TickProgram:
             inputs.rate_error[:] = rate_error
 
     def tick(self) -> None:
-        """Compute a whole tick with the row in `row`."""
+        """Compute a whole tick from the reading and from the gains and the reference in `row`; store its memory."""
         self.whole_tick(self._inputs, self._out)
         self.stored[:] = self._kept
 
@@ -1246,7 +1269,10 @@ class TickProgram:
     # Split, for laws with internal timing and for delays too long to unroll.
 
     def sense(self) -> Array:
-        """Update the filter; return `sensed` (size, lanes)."""
+        """Return the estimate, the first part of a split tick, (size, lanes) in the layout `TickEquations.sensed`.
+
+        The filter's memory is unchanged until `finish`.
+        """
         inputs = np.concatenate([self.stored, *self.reading, self._constants])
         return self._call("sense")(inputs, np.empty((self.equations.sensed.size, self.lanes)))
 
@@ -1265,7 +1291,7 @@ class TickProgram:
     def look_ahead(self, z: Array) -> tuple[Array, Array]:
         """Return the states (N, lanes) at which commands of this tick act, by prediction over the pending commands.
 
-        `drive` (lanes,) at that time, m/s², follows.
+        The carts' accelerations (lanes,) at that time, m/s², follow (`drive`).
 
         Args:
             z: estimates (N+E, lanes).
@@ -1298,7 +1324,7 @@ class TickProgram:
         return received
 
     def moved(self, z: Array, drive: Array, command: Array) -> tuple[Array, Array]:
-        """Return the estimates and `drive` a period later, one step of `look_ahead`.
+        """Return the estimates and the carts' accelerations a period later, one step of `look_ahead`.
 
         Args:
             z: states and extras (N+E, lanes).
@@ -1306,21 +1332,23 @@ class TickProgram:
             command: commands (lanes,) that act in the period, m/s².
 
         Returns:
-            States and extras (N+E, lanes), and `drive` (lanes,).
+            States and extras (N+E, lanes), and accelerations (lanes,) of the carts, m/s².
         """
         inputs = np.concatenate([z, drive[None], command[None], self._constants])
         result = self._call("moved")(inputs, np.empty((len(z) + 1, self.lanes)))
         return result[:-1], result[-1]
 
     def finish(self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True) -> None:
-        """Compute the rest of a tick after `sense`, with the row in `row`, and store its memory.
+        """Compute the rest of a split tick after estimate and law, and store its memory.
+
+        The gains and the reference of the tick are those in `row`.
 
         Args:
-            sensed: output (size, lanes) of `sense`.
+            sensed: estimate (size, lanes): output of `sense`, or another estimator's in the same layout.
             ahead: states (N, lanes) for which commands are computed.
             drive: accelerations (lanes,) of the carts then, m/s².
             back: feedback in addition to the row's, a number or (lanes,), m/s².
-            predicts: True to predict the filter's next state, default True.
+            predicts: True to predict the filter's next state, default; False if another estimator replaces the filter.
         """
         parts = [self._inputs, sensed, ahead, drive[None], np.broadcast_to(back, (1, self.lanes))]
         if not self.equations.unrolled:

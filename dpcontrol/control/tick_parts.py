@@ -77,7 +77,12 @@ Report = namedtuple(
 
 
 Known = namedtuple("Known", "memory reading row numbers sensed acts")
-"""Inputs of a tick by part, its estimate, and the state in which its command acts."""
+"""The inputs of a tick by part, and what is computed from them before the command.
+
+memory, reading, row, numbers: parts of the inputs, with the names of `Memory`, `Measurement`, `Row` and `Numbers`.
+sensed: estimate, with the names of `Sensed`. acts: state at which the command acts, and additions to the law
+(`dpcontrol.control.tick`).
+"""
 
 
 def all_of(*conditions: ca.SX) -> ca.SX:
@@ -92,7 +97,7 @@ def any_of(*conditions: ca.SX) -> ca.SX:
 
 def clipped(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
     """Return a value limited to two bounds; NaN stays NaN."""
-    # NaN stays NaN.
+    # Both comparisons are false for NaN.
     return ca.if_else(value > high, high, ca.if_else(value < low, low, value))
 
 

@@ -144,7 +144,8 @@ class TimedController(ReferenceController):
 class PhaseController(ReferenceController):
     """A controller whose clock follows the nearest phase.
 
-    The clock is corrected at every tick, by the normals n (K+1, N).
+    The clock is corrected at every tick. The normals n (K+1, N) give the lateness, in ticks, of a state from its
+    difference to the reference: lateness = n · (x̂ - x*).
     """
 
     normals: Array
@@ -201,7 +202,8 @@ def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Arr
 class PhaseSession(ClockedSession):
     """One or many runs of a law.
 
-    They start from the reference's tick `place`, or ticks (S,), at the loop's `tick`.
+    `place` is the reference's fractional tick, or ticks (S,), at the loop's tick `_tick`, the last one in which the law
+    was called. Both change at each call.
     """
 
     mode = Mode.TRACKING
@@ -219,7 +221,9 @@ class PhaseSession(ClockedSession):
         self._tick, self.place = tick, place
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
-        """Return feedforward and feedback, m/s², and the reference.
+        """Return feedforward and feedback, m/s², and the reference's state.
+
+        They are numbers and (N,) for one run, (S,) and (S, N) for many.
 
         Args:
             tick: the tick in which the command acts.
@@ -411,7 +415,8 @@ def riccati_gains(
         weights: diagonal (N,) of Q, or Q at each tick (K, N, N).
         effort: weight r of the input.
         terminal: P (N, N) at the end.
-        extras: E (K, N, E) and decay factors D (E,) per period; E = 0 without them.
+        extras: effects E (K, N, E) on the state after a period, and decay factors D (E,) per period, of the
+            disturbances w that the estimator adds, w+ = D w; None for no gains on them (E = 0).
     """
     gains = np.empty_like(input_jacobians)
     effects, decay = extras or (np.empty((len(gains), gains.shape[1], 0)), np.empty(0))
@@ -552,8 +557,8 @@ def _by_time(model: SampledModel, path: TickedMotion, gains: Array, most: float)
 
     The drive's command leads so that its acceleration equals the reference's at the ticks.
 
-    `gains`: (K, N), or (K, N+1) with a lagging drive, the last on the cart's acceleration. `most`: largest
-    acceleration, m/s².
+    `path`: states and inputs of the reference at the ticks. `gains`: (K, N), or (K, N+1) with a lagging drive, the last
+    on the cart's acceleration. `most`: largest acceleration, m/s².
     """
     if not model.lag:
         return {"feedforward": path.commands, "gains": gains}
@@ -595,7 +600,8 @@ def extra_jacobians(
 ) -> tuple[Array, Array]:
     """Return effects E (K, N, E) of the extras on the state after a period, and their decay factors D (E,) per period.
 
-    They come from the estimator's prediction.
+    Extras are the quantities that the estimator estimates beside the state, such as errors of parameters. Effects and
+    factors come from the estimator's prediction.
 
     Args:
         model: model of arms and drive from tick to tick.

@@ -55,6 +55,10 @@ class Ukf(KalmanFilter):
     """filterpy's unscented Kalman filter, whose points follow the compiled model.
 
     An `Estimator` with memory (z (N+E,), P (N+E, N+E)), which must not be shared between threads.
+
+    `_inner` is filterpy's filter, whose state is overwritten before each use, and `_points` computes its sigma points.
+    It reads the present period's command, m/s², from `_command`, since filterpy passes none. `size` is N+E, `_shares`
+    are the indices in z of the errors of inertial parameters, and `_linear` is the prediction with its Jacobian and Q.
     """
 
     def __init__(self, model: SampledModel, settings: UkfSettings, *, noise: Array) -> None:
@@ -94,7 +98,7 @@ class Ukf(KalmanFilter):
         return self.ahead_of(inputs, np.empty(points.shape))
 
     def linearised(self, z: Array, covariance: Array, command: float) -> tuple[Array, Array, Array]:
-        """Return the next z (N+E,), its Jacobian and Q (N+E, N+E).
+        """Return the next z (N+E,), its Jacobian and the covariance Q of the process noise (N+E, N+E).
 
         Args:
             z: present estimate (N+E,).
@@ -107,7 +111,7 @@ class Ukf(KalmanFilter):
         return results[:n], results[n : n + n * n].reshape(n, n).T, results[n + n * n :].reshape(n, n).T
 
     def _begun(self, z: Array, covariance: Array) -> Estimate:
-        """See `KalmanFilter._begun`."""
+        """Return the estimate z (N+E,) with this covariance (N+E, N+E), before a measurement."""
         return self._estimate(z, covariance, np.zeros(self.model.arms + 1), float("nan"), 0)
 
     def _estimate(self, z: Array, covariance: Array, innovation: Array, nis: float, used: int) -> Estimate:

@@ -145,7 +145,7 @@ class SensorWatch:
         }
 
     def stuck(self, known: Known, nis: ca.SX, taken: ca.SX | None) -> tuple[ca.SX, Memory]:
-        """Return the number of the first stuck sensor, from 1 or 0, and the memory after the reading.
+        """Return the number of the first stuck sensor, from 1, or 0 without one, and the memory after the reading.
 
         A joint's sensor is stuck if its reading is constant although the reference moved, and if the filter contradicts
         it. In addition, the filter had to correct the joint's model, or the pause is too long for a reversal.
@@ -153,7 +153,8 @@ class SensorWatch:
         Args:
             known: parts of the tick's inputs.
             nis: mean NIS per position.
-            taken: changes (2n,) of predicted angles and rates by the filter's update, if known, rad and rad/s.
+            taken: changes (2n,) of predicted angles and rates by the filter's update, rad and rad/s; None if another
+                estimator replaces the filter.
         """
         n, period, wanted = self.arms, self.period, known.row.wanted
         m, r, c = known.memory, known.reading, known.numbers
@@ -264,7 +265,9 @@ class SensorWatch:
         return ca.logic_and(contradicts, count * period >= _CART_STILL - period / 2), changes
 
     def unfollowed(self, known: Known, stuck: tuple[ca.SX, Memory]) -> tuple[ca.SX, ca.SX, Memory]:
-        """Return the outcome of a drive that the cart does not follow, or 0, with the results of `stuck` after it.
+        """Return the outcome of a drive that the cart does not follow, or 0, and the corrected results of `stuck`.
+
+        The latter are the number of the stuck sensor, or 0, and the memory with that of the drive's watch.
 
         The cause is a stuck scale, not the drive, if the arms move by the commands.
 

@@ -212,6 +212,7 @@ class Belt(SymbolicPlant):
 
     @classmethod
     def sizes(cls, arms: int) -> Sizes:
+        """Return the numbers of states (the motor's position and velocity) and parameters (stiffness and damping)."""
         return Sizes(states=2, parameters=2)
 
     @classmethod
@@ -231,10 +232,12 @@ class Belt(SymbolicPlant):
         return state[-2:].copy()
 
     def reads(self, arms: int) -> dict[int, int]:
+        """Return the motor's position as the reading of the cart's scale, if the scale is on the motor."""
         return {arms: 0} if self.motor_scale else {}
 
     @property
     def longest_step(self) -> float:
+        """The longest step, s, a share of 1/ω with the belt's angular frequency ω."""
         return _SHARE_OF_BELT / (2 * math.pi * self.frequency)
 
 
@@ -254,6 +257,7 @@ class EncoderPlay(SymbolicPlant):
 
     @classmethod
     def sizes(cls, arms: int) -> Sizes:
+        """Return the numbers of states (the encoders' angles) and parameters (widths of the play)."""
         return Sizes(states=arms, parameters=arms)
 
     @classmethod
@@ -269,6 +273,7 @@ class EncoderPlay(SymbolicPlant):
         return frame.velocity, ca.fmin(ca.fmax(frame.states, frame.joints - half), frame.joints + half)
 
     def numbers(self) -> tuple[float, ...]:
+        """Return the widths of the play (n,), rad; the offsets are first states, no parameters."""
         return self.widths
 
     def start(self, state: Array) -> Array:
@@ -276,6 +281,7 @@ class EncoderPlay(SymbolicPlant):
         return np.diff(state[: len(self.widths)], prepend=0.0) + self.offsets
 
     def reads(self, arms: int) -> dict[int, int]:
+        """Return the encoders' angles as the readings of all joints."""
         return {k: k for k in range(arms)}
 
 
@@ -293,6 +299,7 @@ class Cable(SymbolicPlant):
 
     @classmethod
     def sizes(cls, arms: int) -> Sizes:
+        """Return the number of parameters (torque and stiffness); a cable has no states."""
         return Sizes(parameters=2)
 
     @classmethod
@@ -327,6 +334,7 @@ class Stiction(SymbolicPlant):
 
     @classmethod
     def sizes(cls, arms: int) -> Sizes:
+        """Return the numbers of parameters (break-away and kinetic torques) and modes (one for each joint)."""
         return Sizes(parameters=2 * arms, modes=arms)
 
     @classmethod
@@ -392,4 +400,5 @@ class Stiction(SymbolicPlant):
 
     @property
     def longest_step(self) -> float:
+        """The longest step, s, which limits the delay of a joint's breaking away."""
         return _STICTION_STEP

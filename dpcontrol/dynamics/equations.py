@@ -283,7 +283,8 @@ class _Buffered:
 
     It maps (state (N,), parameters (p,)) to one dense output (M,). The parameters are fixed numbers.
 
-    casadi's argument conversions take forty times as long as the function itself.
+    casadi's argument conversions take forty times as long as the function itself. Each evaluation overwrites `_state`
+    and `_out`, on which `_run` works.
     """
 
     def __init__(self, function: ca.Function, parameters: Array) -> None:

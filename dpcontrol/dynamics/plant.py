@@ -136,7 +136,8 @@ class PlantParameters(Settings):
     def numbers(self) -> Array:
         """Return the parameters (p,) of `equations`.
 
-        Base parameters, b, then τ, then M and k_c where they occur. The components' numbers follow.
+        Base parameters and the pull b of gravity along the track, m/s². Then, where they occur, the drive's lag τ, s,
+        the mass M of cart and arms, kg, and the cart's friction k_c, N s/m. The components' numbers follow.
         """
         upright = replace(self.arms, gravity=self.arms.gravity * float(np.cos(self.tilt)))
         further = [self.arms.gravity * np.sin(self.tilt)]

@@ -304,7 +304,7 @@ class CrossingFinder:
         n, first = equations.dimension, len(parameters)
         # Places among the integrator's parameters, see `_made`.
         self._normal, self._events = slice(first, first + n), slice(first + n, first + n + 4)
-        # The code of which this finder has a copy; it changes once optimised code is made.
+        # The code of which this finder has a copy, `_integrator`; both change once optimised code is made.
         self._original: Any = None
 
     def _made(self, level: int) -> Any:

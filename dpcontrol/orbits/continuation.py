@@ -40,7 +40,7 @@ class Solution(Brief):
     """The best unknowns (k,) of Newton's method.
 
     Attributes:
-        residual: scaled.
+        residual: largest of the equations' residuals, scaled by their units; infinite if the first step fails.
         slope (k,): derivative of the unknowns by the last equation's value, for example by the energy in J.
     """
 
@@ -77,7 +77,7 @@ class Newton:
             equations: residual (m,) and Jacobian (m, k), m ≥ k.
             guess: first unknowns (k,).
             bounds: lowest and highest unknowns (k,). Far from the guess lie other solutions.
-            units: factors (m,) that scale the residual.
+            units: factors (m,) on the residuals, in the order of the equations; a float for all.
         """
         low, high = bounds
         best, unknowns, reach = Solution(guess, np.inf, np.zeros_like(guess)), guess, (high - low) / 2
@@ -116,7 +116,7 @@ def bordered(equations: Function, row: Callable[[Array], tuple[float, Array]]) -
 
     Args:
         equations: residual (m,) and Jacobian (m, k).
-        row: residual and gradient (k,) of the other one.
+        row: function of the unknowns (k,) that returns the residual and the gradient (k,) of the added equation.
     """
 
     def both(unknowns: Array) -> tuple[Array, Array]:
@@ -142,7 +142,8 @@ class Problem(Protocol):
     """Equations of a curve.
 
     Attributes:
-        units: factors (m + 1,) that scale the residual, with that of another equation.
+        units: factors (m + 1,) on the m residuals and, last, on that of the equation that `bordered` adds; a float for
+            all.
         scale: typical change of the followed quantity.
     """
 
@@ -170,9 +171,10 @@ class CurvePoint(Brief):
     """A solution on a curve, with its unit tangent.
 
     Attributes:
-        unknowns (k,), tangent (k,): the tangent in units of the weights.
-        value: the followed quantity.
-        measures: values by name.
+        unknowns (k,), tangent (k,): the tangent in units of the curve's weights.
+        value: the followed quantity, such as the energy, J.
+        residual: scaled residual of the solution.
+        measures: values by name of functions along the curve, such as `SLOPE` and tests for bifurcations.
     """
 
     unknowns: Array
@@ -192,7 +194,7 @@ class Curve(Brief):
     """The curve of solutions of one problem.
 
     Attributes:
-        weights (k,): units of the unknowns.
+        weights (k,): typical changes of the unknowns, by which lengths along the curve are measured.
         newton: limits of Newton's method.
         accept: largest scaled residual of a point.
         measure: function from unknowns to the curve's measures.
@@ -209,7 +211,8 @@ class Curve(Brief):
 
         Args:
             unknowns: solution (k,).
-            heading: row (k,) along which the tangent points; None for towards higher values.
+            heading: direction (k,), in units of the weights, along which the tangent points; None for the direction of
+                higher values of the followed quantity.
             residual: scaled residual of the solution.
         """
         _, jacobian = self.problem.near(unknowns)(unknowns)
@@ -298,7 +301,9 @@ class Curve(Brief):
             point, length = following, min(step, growth * length)
 
     def located(self, start: CurvePoint, length: float, value: Callable[[CurvePoint], float]) -> CurvePoint | None:
-        """Return the point of a curve at which a function, such as a test for bifurcations, is zero, or None.
+        """Return the point of a curve at which a function, such as a test for bifurcations, is zero.
+
+        The result is None if the function has the same sign at both ends of the range, or if Newton's method fails.
 
         Args:
             start: point of the curve.
@@ -356,12 +361,13 @@ def stepped(
     Args:
         start: solution at the first value.
         values: first and last value.
-        following: function of a solution, its value and another one, which returns the solution there, or None.
+        following: function of a solution, its value and another value, which returns the solution there, or None if
+            the step is too long.
         longest: longest step.
         smallest: shortest step.
 
     Returns:
-        The last solution and its value, which is the last one if all steps succeed.
+        The last solution and its value, which is the goal if all steps succeed.
     """
     solution, (value, goal), step = start, values, longest
     while value != goal:

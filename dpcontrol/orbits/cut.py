@@ -44,8 +44,11 @@ class CutSettings:
     chaotically before they arrive, and refinement stops.
 
     Attributes:
+        first_phases: number of evenly spaced phases with which sampling begins.
         chord: largest distance between neighbours in (q, p/p₀), in the system's section scale.
-        longest: flight time in periods of the orbit, None for the default.
+        smallest_phase_step: phase step below which a wide chord is a jump and not bisected, 1 for a period.
+        longest: flight time in periods of the orbit, None for the system's default.
+        most_points: number of samples of a branch at which refinement stops.
         grazing: normal rate of a grazing crossing, relative to the largest rate.
 
     A limit on processor time, `seconds`, also stops refinement.
@@ -290,7 +293,7 @@ def refined(
         progress: called with a label and the completed share.
 
     Returns:
-        The samples, and the branch with the cause if refinement stopped early.
+        The samples, and the branch with the cause if refinement stopped early, else None.
     """
     settings = sampler.settings
     budget = sampler.budget.part(settings.seconds)
@@ -333,6 +336,9 @@ class OpenEnd(Brief, Concluded):
     """A phase interval in which a cut is open.
 
     Attributes:
+        branch: branch of the tube, +1 or -1.
+        phase_interval: first and last phase in [0, 1), 1 for a period; the first is larger across phase zero.
+        cause: why the cut is open there.
         hides: True if it may contain more of the same crossing. Grazing and escaping trajectories hide nothing, nor
             do those that exceed a requested flight time.
         later: True if some arrive after that time, or may arrive after the default one.
@@ -354,7 +360,8 @@ class Piece(Brief):
     """One connected piece of a cut.
 
     Attributes:
-        phases (K,): increasing, unwrapped.
+        branch: branch of the tube, +1 or -1.
+        phases (K,): of the seeds, 1 for a period, increasing and unwrapped.
         points (K, 2): (q, p/p₀), with continuous q.
         states (K, N): lifted.
         times (K,): of flight, s.
@@ -376,7 +383,8 @@ class Cut(Shown, Documented, Concluded):
     """The pieces and open ends of a tube's cut, both branches.
 
     Attributes:
-        trajectories: number of trajectories.
+        hit: number of the crossing of the section, from 1.
+        trajectories: number of propagated trajectories.
         chord: longest chord of a resolved cut, in the system's section scale.
         longest: longest flight, in periods of the orbit.
         unresolved: branches whose refinement stopped early.

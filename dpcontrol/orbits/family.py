@@ -56,7 +56,7 @@ LINGERS = 0.05
 
 @dataclass(frozen=True)
 class FollowingSettings:
-    """Steps, tolerance and limits of continuation, in scaled units of (c, τ).
+    """Steps, tolerance and limits of continuation, in scaled units of the unknowns (c, τ) of `SymmetricShooting`.
 
     Attributes:
         largest_multiplier: largest measure `SIZE`. Beyond 1e7, the multipliers at one have errors above 1e-2 in double
@@ -76,7 +76,11 @@ class FollowingSettings:
 
 @dataclass(frozen=True)
 class CurveEvent:
-    """A zero of the measure `test` on a family's curve."""
+    """A zero of the measure `test` at `place` on a family's curve.
+
+    `before` and `after` are the measure's values at the two points between which the zero was found, in the direction
+    of continuation.
+    """
 
     test: str
     place: CurvePoint
@@ -119,7 +123,8 @@ class Followed:
     Attributes:
         points: those within the bounds.
         here: last point.
-        first: entry into the bounds, if it started outside.
+        events: folds and critical multipliers within the bounds.
+        first: entry into the bounds, if it started outside, else None.
         last: end of the family, None if no step converges.
     """
 
@@ -152,7 +157,7 @@ def follow(
         progress: called with a label and the completed share.
     """
     (low, high), result = energies, Followed(start)
-    # There, dH/ds vanishes too, which is not a fold.
+    # At the birth, the energy's derivative along the curve vanishes too, which is not a fold.
     birth = start if born else None
     end = partial(FamilyEnd, system=problem.system)
 
@@ -231,7 +236,7 @@ def family_end(points: list[CurvePoint], problem: SymmetricShooting, *, largest:
     Args:
         points: the last members.
         problem: shooting problem of the family.
-        largest: limit on multipliers that ended the continuation, if any.
+        largest: limit on multipliers that ended the continuation; None if no step converged.
     """
     place, system, tolerance = points[-1], problem.system, 1e-3 * problem.scale
     name, distance = nearest_equilibrium(problem, place)

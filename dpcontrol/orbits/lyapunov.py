@@ -96,6 +96,9 @@ _LONGEST = 3.0
 class SymmetricShooting(Brief):
     """The shooting problem about one saddle.
 
+    The unknowns (n + 1,) are (c, τ): the coordinates c (n,) of the orbit's initial state on the first fixed set, and
+    the duration τ of the arc to the last fixed set, s.
+
     Attributes:
         centre (N,): the saddle.
         start (N, n): basis of the initial fixed set.
@@ -159,7 +162,7 @@ class SymmetricShooting(Brief):
 
     @property
     def units(self) -> Array:
-        """Factors (n + 1,) that scale the arc's residual, with that of another equation."""
+        """Factors on the n residuals of the arc and, last, on that of the equation that `bordered` adds."""
         return np.append(np.abs(self.target) @ (1 / self.system.scale), 1.0)
 
     @property
@@ -425,7 +428,7 @@ def nearby_orbit(problem: SymmetricShooting, neighbour: LyapunovOrbit, energy: f
 
 @dataclass(frozen=True)
 class _Passed:
-    """An intermediate member at s = √(energy above the saddle): its unknowns (n + 1,) and their derivative by s."""
+    """An intermediate member at s = √|energy - saddle's energy|, √J: unknowns (n + 1,) and their derivative by s."""
 
     s: float
     unknowns: Array
@@ -438,7 +441,8 @@ def _follow(
     """Return the unknowns (n + 1,) of a family at an energy, J, and the outcome of their continuation from the saddle.
 
     `linear`: the family's limit at the saddle. The continuation steps in s = √(energy above the saddle), in which the
-    orbits grow in proportion, with cubic prediction. If no step converges, the unknowns are the last ones.
+    orbits grow in proportion, with cubic prediction. For a family below the saddle, s is the root of the energy below
+    it. If no step converges, the unknowns are the last ones.
     """
     sign, goal = linear.sign, float(np.sqrt(abs(energy - linear.energy)))
     largest_step = settings.step * np.sqrt(problem.system.energy_scale)
@@ -449,7 +453,8 @@ def _follow(
     def following(passed: tuple[_Passed, ...], _: float, s: float) -> tuple[_Passed, ...] | None:
         """Return the members with another one at s, or None if Newton's method fails or leaves the curve.
 
-        Intermediate members need less accuracy than the last one.
+        Intermediate members need less accuracy than the last one. The value of s at the last member is not used, since
+        `passed` holds it.
         """
         sufficient = 0.0 if s == goal else _ON_THE_WAY
         newton = Newton(settings.newton_iterations, settings.tolerance, sufficient)
@@ -470,9 +475,10 @@ def _follow(
 
 
 def _predicted(points: Sequence[_Passed], s: float) -> Array:
-    """Return the unknowns (n + 1,) at s, extrapolated linearly from one member or cubically from two.
+    """Return the guess of a family's member at s, its unknowns (n + 1,), for Newton's method.
 
-    `points`: the last one or two members.
+    It is extrapolated linearly from one member or cubically from two. s is √(energy above the saddle), √J, or below it
+    for a family whose energies lie below the saddle's. `points`: the last one or two members of the continuation.
     """
     last = points[-1]
     linear = last.unknowns + (s - last.s) * last.slope

@@ -39,6 +39,7 @@ class Frame(Brief):
     Attributes:
         phases (K,): φ.
         states (K, N), vectors (K, N): γ(φ) and v(φ).
+        state_slopes (K, N), vector_slopes (K, N): their derivatives by phase.
         lengths (K,): scaled lengths of the vectors, one at phase zero.
     """
 
@@ -82,9 +83,9 @@ class UnstableManifold(Brief, Generic[Orbit]):
 
     @cached_property
     def half_turn(self) -> tuple[Array, float] | None:
-        """The symmetry S by half a period and its sign, or None.
+        """The symmetry S (N, N) by half a period and its sign, or None for a system with a single reverser.
 
-        They satisfy γ(φ + ½) = S γ(φ) and v(φ + ½) = ± S v(φ).
+        With states from the saddle, they satisfy γ(φ + ½) = S γ(φ) and v(φ + ½) = ± S v(φ).
         """
         reversers = self.orbit.system.reversers
         if len(reversers) < 2:
@@ -163,7 +164,7 @@ class UnstableManifold(Brief, Generic[Orbit]):
 
         The scaled distance from the orbit is at most `distance`, and smaller if trajectories would otherwise cross the
         curve of seeds repeatedly. Seeds are corrected to the orbit's energy along the energy gradient. The derivative
-        neglects this correction of order δ², which slows Newton's method only slightly.
+        neglects this correction, which is of the order of the squared distance and slows Newton's method only slightly.
 
         Args:
             phases: any real phases (K,), 1 for a period.
@@ -245,7 +246,7 @@ class SegmentedManifold(UnstableManifold[Orbit]):
         return None
 
     def frame(self, phases: Array) -> Frame:
-        """Return orbit (lifted) and unstable vector at given phases.
+        """Return the orbit's lifted states and unstable vectors at given phases, with derivatives, as the base class.
 
         Args:
             phases: any real phases (K,), 1 for a period.

@@ -56,9 +56,11 @@ class RotatingSettings:
     instability.
 
     Attributes:
+        first_angles: number of steps of the scan over the angle ψ of the first rates (`_guesses`), before refinement.
         jump: jumps of the other arm's final angle above this are refined, rad.
-        longest: duration of half a turn, in periods of the slowest small oscillation.
-        finest: smallest step of the scan, rad.
+        finest: smallest step of ψ, rad.
+        most_angles: number of trajectories at which refinement stops.
+        longest: largest duration of half a turn, in periods of the slowest small oscillation.
     """
 
     first_angles: int = 360
@@ -156,7 +158,7 @@ class RotatingOrbit(RotatingRecord, Periodic, Concluded):
 
 @dataclass(frozen=True)
 class HalfTurn(SymmetricShooting):
-    """Symmetric shooting between fixed sets that differ by `turn` (N,)."""
+    """Symmetric shooting between fixed sets that differ by `turn` (N,): half a turn of one arm, ±π rad."""
 
     turn: Array
 
@@ -231,7 +233,7 @@ def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newto
 
     Args:
         problem: shooting problem of the orbit.
-        unknowns: solution (ω, τ) (n + 1,), rad/s and s.
+        unknowns: solution (ω, τ) (n + 1,): first rates ω on the fixed set, rad/s, and duration τ of half a turn, s.
         arm: number of the arm, from 1.
         energy: energy of the orbit, J.
         newton_residual: scaled residual of the solution.
@@ -267,7 +269,7 @@ def section_trace(problem: HalfTurn, unknowns: Array) -> tuple[float, Array]:
 
     Args:
         problem: shooting problem of the orbit.
-        unknowns: solution (ω, τ) (n + 1,), rad/s and s.
+        unknowns: solution (ω, τ) (n + 1,): first rates ω on the fixed set, rad/s, and duration τ of half a turn, s.
     """
     end, monodromy = problem.system.propagator.flow_with_stm(problem.state(unknowns), problem.period(unknowns))
     return float(np.trace(monodromy)) - 2.0, end
@@ -293,7 +295,12 @@ def can_rotate(system: System) -> bool:
 
 @dataclass(frozen=True)
 class _Arrival(Brief):
-    """The final angle `miss` of the other arm less its position, rad, or None, from an angle ψ of the scan; time, s."""
+    """The end of one trajectory of the scan, after half a turn of the rotating arm.
+
+    `angle` is the angle ψ of its first rates, rad (`_guesses`). `miss` is the final angle of the other arm less its
+    first one, rad, zero for a rotating orbit; None for a trajectory that does not make the half turn. `time` is its
+    duration, s, infinite without one.
+    """
 
     angle: float
     miss: float | None
@@ -301,10 +308,13 @@ class _Arrival(Brief):
 
 
 def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: RotatingSettings) -> list[Array]:
-    """Return guesses (ω, τ), rad/s and s, of rotating orbits, from a scan of the rates of given energy.
+    """Return guesses of rotating orbits, from a scan of the first rates of given energy.
 
-    The rates form an ellipse over the angle ψ. A guess lies at each sign change of the other arm's final angle, and at
-    each small minimum of its size. `arm`, `sense`: number of the rotating arm, from 1, and direction ±1. `energy`: J.
+    A guess (ω, τ) (n + 1,) consists of the first rates ω, rad/s, and the duration τ of half a turn, s.
+
+    The first rates of given kinetic energy form an ellipse, with the angle ψ as parameter. A guess lies at each sign
+    change of the other arm's deviation after half a turn, and at each small minimum of its size. `arm`, `sense`: number
+    of the rotating arm, from 1, and direction ±1. `energy`: J. `settings`: limits of the scan.
     """
     system = problem.system
     kinetic = energy - float(system.numeric.hamiltonian(problem.centre))
@@ -400,7 +410,7 @@ ROTATING_LIMITS = FollowingSettings(largest_multiplier=1e8, longest=5.0)
 
 @dataclass(frozen=True)
 class StabilityChange:
-    """An orbit at which the trace crosses ±2."""
+    """An orbit at which the trace crosses ±2 (`critical_trace`), with the kinds of the orbits before and after it."""
 
     orbit: RotatingOrbit
     critical_trace: float
@@ -586,7 +596,11 @@ def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
 
 
 def _change(event: CurveEvent, orbit: RotatingOrbit, downward: bool) -> StabilityChange:
-    """Return the change of stability at an event; `downward` exchanges its sides, if followed downward."""
+    """Return the change of stability at an event, with sides in the order of the whole family.
+
+    `orbit`: the orbit at the event. `downward`: True if the curve was followed against this order, which exchanges the
+    sides.
+    """
     critical = 2 * CRITICAL[event.test]
     before, after = (kind_of(float(critical + np.sign(side))) for side in (event.before, event.after))
     return StabilityChange(orbit, critical, *((after, before) if downward else (before, after)))

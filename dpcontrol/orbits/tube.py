@@ -62,7 +62,7 @@ class Tube(Shown, Documented):
 
     @checked
     def strands(self, count: Count = 40) -> Array:
-        """Return trajectories on the tube, from the orbit to the default section, for pictures.
+        """Return trajectories on the tube, from the orbit to the default section, for pictures of the tube.
 
         Trajectories that do not meet it are followed while they leave the orbit.
 
@@ -145,7 +145,7 @@ class Tube(Shown, Documented):
 def _followed(propagator: Any, seed: Array, seconds: float) -> Array:
     """Return states (M, N) of a trajectory from a seed (N,) for a time, s, for a strand of a tube.
 
-    If the trajectory becomes infinite, the time is halved until it does not.
+    `propagator`: that of the orbit's system. If the trajectory becomes infinite, the time is halved until it does not.
     """
     while True:
         try:

@@ -68,10 +68,12 @@ class Planner(AbstractContextManager["Planner"]):
         self._model = model
         # Imports and the model's equilibria take a second, so they are loaded before a page connects.
         shown_model(fitting_model(model))
+        # Secret part of the page's address, without which requests are rejected.
         self._token = secrets.token_urlsafe(24)
         self._socket = _listening(port)
         self._host = f"127.0.0.1:{self._socket.getsockname()[1]}"
         self.address = f"http://{self._host}/?token={self._token}"
+        # Sessions of pages by the path of their address; windows with the same path share one.
         self._sessions: dict[str, PageSession] = {}
         self._workers, self._closed = Workers(), False
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), daemon=True)

@@ -72,6 +72,7 @@ class PageSession:
         self._workers, self._broadcast = workers, broadcast
         # Connections of websockets, one for each window.
         self.windows: set[Any] = set()
+        # Folder for the logs of runs, which `close` deletes.
         self._folder = Path(tempfile.mkdtemp(prefix="dpcontrol-planner-"))
         # Texts that can be undone or redone, the index of the present one, and True if it was changed by typing.
         self._texts, self._at, self._typed = [first_text(model)], 0, False
@@ -91,6 +92,7 @@ class PageSession:
         self._jobs: dict[str, WorkerJob] = {}
         # Function that starts the last cancelled or broken job again.
         self._again: Callable[[], None] | None = None
+        # Commands of all windows are executed one after the other.
         self._order = asyncio.Lock()
         self._set_message("")
         self._take(self._draft, model_message)

@@ -40,7 +40,10 @@ _EVERY = 0.05
 
 
 class Jobs:
-    """The jobs by name, whose reports are lines of one stream."""
+    """The jobs by name, whose reports are lines of one stream, `_file`.
+
+    Reports of progress before the time `_next`, s of the monotonic clock, are dropped.
+    """
 
     def __init__(self, handle: int) -> None:
         """Write reports to the open file descriptor `handle`, the process's original standard output."""
@@ -50,7 +53,7 @@ class Jobs:
         """Write one report: a line of a word and JSON.
 
         Args:
-            word: kind of the report.
+            word: kind of the report: "progress", "remark", "show:KIND" for the page, "done" or "failed".
             value: its value, which becomes JSON.
         """
         self._file.write(f"{word} {json.dumps(plain(value), ensure_ascii=False)}\n")
@@ -133,7 +136,7 @@ class Jobs:
 
 
 def failure_of(error: Exception) -> dict[str, Any]:
-    """Return the cause of a failed job: a sentence, the failed symbol's index and the wraps that work, or None.
+    """Return the cause of a failed job: a sentence, and if known the failed symbol's index and the wraps that work.
 
     Args:
         error: exception that ended the job.

@@ -18,7 +18,11 @@ _LINE = 1 << 27
 
 
 class Workers:
-    """Pool of processes, which have loaded the package before their first job."""
+    """Pool of processes, which have loaded the package before their first job.
+
+    `_idle` are those that wait for a job, `_all` all that were ever started, so that `close` ends every one, and
+    `_slots` limits the number of jobs at a time.
+    """
 
     def __init__(self) -> None:
         """Create an empty pool; processes are started when they are needed."""

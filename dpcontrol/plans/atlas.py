@@ -95,7 +95,8 @@ class AtlasSettings(Settings, table="atlas"):
         hits: crossings of the unstable and the stable tube at every section. None selects the first crossings of each
             kind that meet, up to last_hit.
         search: settings of each search.
-        strands: stored trajectories of each branch, for drawing, and their instants.
+        strands: number of stored trajectories of each branch, from which pages draw a tube.
+        strand_instants: number of stored states of each of them.
     """
 
     hits: Annotated[tuple[int, int] | None, Setting(least=1, most=9)] = None
@@ -335,7 +336,10 @@ def _sampled_connection(connection: Connection) -> AtlasConnection:
 
 
 def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) -> AtlasCut:
-    """Return the record of a tube's cut with trajectories of each branch, for drawing."""
+    """Return the record of a tube's cut with trajectories of each branch, from which pages draw the tube.
+
+    `manifold`: that of the tube's orbit. `settings`: number of the trajectories.
+    """
     orbit, instants = manifold.orbit, settings.strand_instants
     system = orbit.system
     strands = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings)]
@@ -361,7 +365,7 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
 def _strands(
     manifold: UnstableManifold, cut: Cut, branch: int, settings: AtlasSettings
 ) -> Iterator[tuple[int, float, Array]]:
-    """Yield trajectories of a tube that reach the section, spread evenly over the phases, for drawing.
+    """Yield trajectories of a tube that reach the section, spread evenly over the phases, for pictures of the tube.
 
     Each is the branch (±1), the phase of its seed, and its states (M, N) from the seed to the section. A seed is a
     state near the orbit, from which the trajectory leaves it; the cut holds the phases of seeds that reach the section.
@@ -384,7 +388,8 @@ def _strands(
 def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
     """Return `count` indices of samples of a trajectory, spread evenly over half the time and half the scaled path.
 
-    So neither slow stretches near an orbit nor fast swings are short of samples.
+    `times` (K,), s, and `states` (K, N) are those of the samples. So neither slow stretches near an orbit nor fast
+    swings are short of samples.
     """
     path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
     progress_along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
@@ -464,7 +469,7 @@ def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -
     """Return a record's entry in the header, and put its arrays into `arrays` under `prefix` and their names.
 
     `record` is an atlas or one of the dataclasses in it. Entries of a list "orbits" have the prefix "orbit_0_" and so
-    on. A single state or point is in the header.
+    on. A single state or point is in the header. An entry refers to a section by its index in `sections`.
     """
     entry: dict[str, Any] = {}
     for name, value in fields_of(type(record), record).items():

@@ -74,8 +74,8 @@ class Way:
 
     Attributes:
         arms: the arms.
-        limits: limits of the cart.
-        room: limits of the flights.
+        limits: limits of the cart, at which the feedback that keeps the end saturates.
+        room: limits that the flights keep, a share of those.
         start, end: first and last state.
         backwards: True to compute flights from the end, in reversed time.
     """

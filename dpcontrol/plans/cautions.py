@@ -161,7 +161,11 @@ def hidden_angles(itinerary: Itinerary) -> dict[str, float]:
 
 
 def _authority(arms: ArmChainParameters, reference: Reference) -> Iterator[Caution]:
-    """Yield the feedback that each unstable stop needs, with the smallest mass at the outer tip that helps."""
+    """Yield a caution for each unstable stop, with the gain that its feedback needs, m/s² per rad, as the figure.
+
+    The change is the smallest mass at the outer tip, kg, with which the need is below its limit. If no mass suffices,
+    it is the one with the smallest need, or none.
+    """
     for name, place in {stop.saddle: np.array(stop.angles) for stop in reference.content.stops}.items():
         if (need := arms.need(place)) is None:
             continue

@@ -95,9 +95,10 @@ class Goal(Brief):
 
 @dataclass(frozen=True)
 class SolvedPiece(Brief):
-    """Reference of a goal or of a transfer.
+    """Solved reference of a goal, or of the transfer to the next goal.
 
-    goal: None for a transfer. lift (n,): radians added to its angles.
+    text: name of the piece. goal: None for a transfer. lift (n,): whole turns of all pieces before it, added to the
+    goal's angles, rad; for a transfer, the lift of the goal after it.
     """
 
     text: str
@@ -336,7 +337,7 @@ def _off_last_orbit(goal: Goal, reference: Reference, lift: Array) -> float:
 class _Way:
     """A transfer between two goals.
 
-    turns (n,): candidates of whole turns of its ends.
+    `turns`: for each possible end of the transfer, the whole turns (n,) that are added to the next goal's angles.
     """
 
     transfer: Transfer
@@ -387,7 +388,7 @@ def ways_round(apart: Array) -> list[Array]:
     An arm that is within a tenth of a whole number of turns has one candidate, and any other arm has two.
 
     Args:
-        apart: distances (n,) of the arms, in turns.
+        apart: angles (n,) of the arms at the start of the transfer minus those of its end, in turns.
     """
     choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
     return [np.array(ways) for ways in product(*choices)]
@@ -461,7 +462,12 @@ STILL = 0.8
 
 
 class _Story:
-    """Stops and symbols in order, with their orbits and equilibria in the order of the first visit."""
+    """Stops and symbols of a plan in order, with their orbits and equilibria in the order of the first visit.
+
+    All attributes grow as pieces are entered and followed. `symbols` are connections and transfers, `wraps` those of
+    the stops between them (None beside a transfer), and `transfers` begin and end of each transfer, s. `orbits` holds
+    orbits and equilibria by name of the saddle or equilibrium and energy, J.
+    """
 
     def __init__(self, itinerary: Itinerary) -> None:
         """Start without stops; pieces are entered and followed in order."""

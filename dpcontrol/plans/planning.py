@@ -467,7 +467,7 @@ def _assembled(
 
 
 def _sampled(orbit: SustainedOrbit) -> Array:
-    """Return states (M, 2n) of the pendulum over a period, for score and review."""
+    """Return states (M, 2n) of the pendulum over a period, which a plan stores for the score and review of its runs."""
     return np.asarray(orbit.state(np.linspace(0.0, orbit.period, _SAMPLES))[:, :-2])
 
 
@@ -476,7 +476,8 @@ def _counted_once(
 ) -> Reference:
     """Return the joined reference with the search cost of each flight and orbit counted once.
 
-    `joined` adds up the costs of all parts, in which an orbit can occur several times.
+    The joined reference adds up the costs of all its parts, in which an orbit can occur several times. `orbits` are the
+    sustained orbits by saddle.
     """
     solved = [*flights, *(orbit.reference for orbit in orbits.values())]
     iterations, seconds = sum(piece.iterations for piece in solved), sum(piece.solve_seconds for piece in solved)

@@ -316,7 +316,7 @@ def _rank(wanted: Transfer, arms: ArmChainParameters, motion: Trajectory) -> flo
 def _problem(
     arms: ArmChainParameters, limits: Limits, first: Trajectory, ends: tuple[Array, Array]
 ) -> ReferenceProblem:
-    """Return the optimisation problem of a transfer between two states `ends` (N,), guessed by a first motion."""
+    """Return the optimisation problem of a transfer between two states `ends` (N,), guessed by the motion `first`."""
     return ReferenceProblem(
         equations_of(arms, Level.CART),
         arms.base(),
@@ -350,7 +350,8 @@ def _missed(wanted: Transfer, durations: Array, failed: str) -> GoalMissed:
 def _between(motion: Reference, start: Array, ends: Sequence[Array] | Array) -> tuple[float, Array]:
     """Return the distance of a motion's ends from a required start and the nearest of several ends, and that end (N,).
 
-    Whole turns of the motion do not count. A stored motion with a small distance is a good first motion.
+    Whole turns of the motion do not count. A stored motion with a small distance is a good first motion. `start` (N,)
+    and each of `ends` (N,) are states of arms and cart.
     """
     n = len(start) // 2 - 1
     turns = np.pad(whole_turns((motion.states[0, 0] - start)[:n]), (0, n + 2))

@@ -27,7 +27,11 @@ from dpcontrol.proofs.symbols import dot
 
 @dataclass(frozen=True)
 class SectionChart:
-    """An exact node (N,) with the basis (N, N) of its section, and the change (2,) of y with the energy."""
+    """An exact node (N,) with the basis (N, N) of its section.
+
+    The columns of the basis are u, s, the flow and w, and y (2,) are the coordinates along u and s. `tilt` (2,) is the
+    change of y with the energy by which boxes move, zero for a single energy.
+    """
 
     node: tuple[Fraction, ...]
     basis: tuple[tuple[float | Fraction, ...], ...]
@@ -120,7 +124,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Surface:
-    """The energy surfaces of a ball of energies; some states (N,) have period 2π."""
+    """The energy surfaces of a ball of energies; `turns` (N,) is True for the states with period 2π."""
 
     field: Field
     energy: Any

@@ -146,7 +146,12 @@ class _Dual:
 
 
 class _Flow(ABC):
-    """A system's integrator in flint's arithmetic at the working precision; `angles` of its states turn."""
+    """A system's integrator in flint's arithmetic at the working precision.
+
+    `angles` is the number of coordinates that turn, which come first. `pace` is the length of the next step, s: it is
+    halved after a step that fails, and doubled, up to `longest`, at the start of a flight. `left` decreases by one with
+    each step. `remainder` limits the remainder of a step.
+    """
 
     angles: int
 
@@ -646,7 +651,8 @@ def _checked(flow: _Flow, data: Mapping[str, Any], progress: Progress) -> str:
     """Return the statement of a certificate of a closed orbit, after proving it.
 
     The rows of `matrix`, the derivative of the equations over the ball, are those of the nodes' defects, of the
-    sections n_k and of the energy. Its columns are the states, the durations and ε. All are scaled.
+    sections n_k and of the energy. Its columns are the states, the durations and ε, an unknown that makes the matrix
+    square and is zero for an orbit (see the module's text). All are scaled.
 
     Args:
         flow: integrator of the certificate's system.

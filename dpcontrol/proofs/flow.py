@@ -53,7 +53,7 @@ class FlowSettings:
     Attributes:
         order: of the thin point's polynomial.
         box_order: of the box's polynomial.
-        left: remainder of a step relative to ε.
+        left: remainder of a step relative to ε, the distance of solutions from their polynomials on a disc of times.
     """
 
     order: int = 32

@@ -51,7 +51,7 @@ class ProofSettings:
 
     The working precision is `bits`. Orbits are unique in balls of the scaled `radius`. If it does not close, up to
     `tries` radii are tried: larger than the first step, or else smaller. Boxes around connections have the half-width
-    `box`.
+    `box`. `flow` and `links` are the integrator's settings for closed orbits and for boxes along connections.
     """
 
     bits: int = 128
@@ -110,7 +110,7 @@ class Energies:
 
         Args:
             energy: float, a number whose text is a decimal, or energies, which are returned.
-            within: the same for the distance.
+            within: largest distance from it, in one of the same forms; ignored for energies.
         """
         if isinstance(energy, Energies):
             return energy

@@ -61,6 +61,11 @@ class PlanSymbol:
     """Motion between two stops: a connection, or a transfer, which has neither name nor section.
 
     Attributes:
+        text: symbol as the itinerary writes it, or name of the transfer.
+        name: name of the connection, None for a transfer.
+        source, target: saddles or equilibria at both ends.
+        winding: whole turns of each arm.
+        sense: direction of the connection's turn, +1 or -1, 0 for a transfer.
         time: of the section's crossing, or the middle of a transfer, s.
         time_out, time_in: from the orbit to the section and on to the next orbit, s.
         phase_out, phase_in: phases on these orbits.
@@ -85,7 +90,7 @@ def symbol_figures(symbols: Sequence[PlanSymbol], place: int) -> dict[str, Any]:
 
     Args:
         symbols: symbols and transfers in order.
-        place: place among them.
+        place: index of the symbol or transfer among them; negative from the end.
 
     Returns:
         Kind of the motion, its number from 1, their count and its name; empty without symbols.
@@ -133,7 +138,14 @@ class PlanSaddle:
 
 @dataclass(frozen=True)
 class Shadowing:
-    """Search for the walks' orbits: largest residual, or None without a walk, and total time, s."""
+    """Result of the search for the walks' orbits.
+
+    Attributes:
+        residual: largest residual of the orbits, or None without a walk.
+        duration: duration of all orbits together, s.
+        status: how each search ended, in words.
+        wraps_realised: wraps that the orbits make at their stops.
+    """
 
     residual: float | None = None
     duration: float = 0.0
@@ -143,7 +155,16 @@ class Shadowing:
 
 @dataclass(frozen=True)
 class Origin:
-    """Inputs that reproduce the plan: texts of itinerary, model and plant, arms, versions of program and planner."""
+    """Inputs that reproduce the plan.
+
+    Attributes:
+        program: name and version of the program.
+        scene, scene_hash: text of the itinerary and its hash.
+        model, model_hash: text of the model and its hash.
+        parameters: parameters of the model's arms.
+        plant: text of the plant's model that the itinerary names, if any.
+        code: version of the planner.
+    """
 
     program: str
     scene: str
@@ -157,7 +178,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class TransferCost:
-    """Cost of a transfer: s, ∫u² dt in m²/s³, and stroke in m."""
+    """Cost of a transfer: its name, begin and duration, s, effort ∫u² dt, m²/s³, and stroke of the cart, m."""
 
     text: str
     begin: float
@@ -185,8 +206,11 @@ class StaySegment:
 
     Attributes:
         keep: saddle of the orbit.
-        energy: J.
+        energy: energy of the Lyapunov orbit that the sustained one continues, J.
+        family: number of this orbit's family, from 0.
+        lyapunov_period: its period, s, by which the orbit is recognised.
         turns: turns of its states relative to the orbit, rad.
+        periods: number of periods.
         rows: first mesh interval of its first period and that after it.
     """
 
@@ -273,19 +297,20 @@ class PlanContent:
         return np.asarray(stop.angles) - np.asarray(self.saddles[stop.saddle].angles)
 
     def transitions(self) -> list[tuple[int, int]]:
-        """Return the first transfer between each two equilibria, for pictures of the transitions.
+        """Return the first transfer between each two equilibria, for pictures and for plans of single transitions.
 
         Returns:
-            Index of the transfer among all symbols, and among all transfers.
+            A pair (k, j) for each: symbol k is the transfer, and j its index in `transfers`.
         """
         # A stop at rest has no growth over a period; other stops begin or end a walk.
         is_equilibrium = [self.orbit(stop).multiplier == 1.0 for stop in self.stops]
-        transfer_numbers = {round(sum(transfer_number) / 2, 6): k for k, transfer_number in enumerate(self.transfers)}
+        # Indices in `transfers` by the middle of the transfer, (begin, end), which is the time of its symbol.
+        numbers_by_middle = {round(sum(transfer) / 2, 6): k for k, transfer in enumerate(self.transfers)}
         pairs: dict[tuple[str, str], tuple[int, int]] = {}
         for k, symbol in enumerate(self.symbols):
-            transfer_number = transfer_numbers.get(round(symbol.time, 6))
-            if transfer_number is not None and symbol.name is None and is_equilibrium[k] and is_equilibrium[k + 1]:
-                pairs.setdefault((symbol.source, symbol.target), (k, transfer_number))
+            transfer = numbers_by_middle.get(round(symbol.time, 6))
+            if transfer is not None and symbol.name is None and is_equilibrium[k] and is_equilibrium[k + 1]:
+                pairs.setdefault((symbol.source, symbol.target), (k, transfer))
         return list(pairs.values())
 
     def fits(self, arms: int) -> bool:

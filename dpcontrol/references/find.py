@@ -282,7 +282,10 @@ def _tightened(limits: Limits, required: Limits, largest: dict[str, float]) -> L
 
 
 def _is_another_motion(problem: ReferenceProblem, solved: Solved, settings: ReferenceSettings) -> bool:
-    """Return True if a solution is too far from the guess to be the same motion; False without a weight of it."""
+    """Return True if a solution is too far from the guess to be the same motion.
+
+    It is False if the cost does not weigh the distance from the guess (`settings`), since any motion is then allowed.
+    """
     follows_guess = settings.pendulum_weight > 0
     return follows_guess and away_from_guess(problem, solved.trajectory)[0] > FARTHEST
 
@@ -327,7 +330,10 @@ def _once_more(
 
 
 def _failure(problem: ReferenceProblem, failed: Solved, obstacle: Obstacle) -> ReferenceEnding:
-    """Return the ending of a search that failed or found a different motion, with the obstacle that explains it."""
+    """Return the ending of a search that failed or found a different motion, with the obstacle that explains it.
+
+    `failed`: result of the solver.
+    """
     if not failed.succeeded:
         return ReferenceEnding(ReferenceCause.SOLVER, answer=failed.outcome, obstacle=obstacle)
     distance, time = away_from_guess(problem, failed.trajectory)
@@ -337,9 +343,10 @@ def _failure(problem: ReferenceProblem, failed: Solved, obstacle: Obstacle) -> R
 
 
 def _solve_near(problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits) -> Solved:
-    """Return the solution near a nearly converged motion `first`.
+    """Return the solution near a nearly converged motion `first`; it may have failed.
 
-    The solver starts with a small barrier, and with a large one if that fails because the motion is too far.
+    The solver starts with a small barrier, and with a large one if that fails because the motion is too far. `limits`
+    bound the cart at the nodes.
     """
     solved = solve(problem, first, settings=settings, limits=limits, search="warm")
     return solved if solved.succeeded else solve(problem, first, settings=settings, limits=limits)

@@ -71,7 +71,9 @@ def barycentric_weights(points: Array) -> Array:
 
 
 def interpolation_matrix(points: Array, at: ArrayLike) -> Array:
-    """Return the matrix (M, K) that maps values at the points to other places; op. cit. eq. 4.2.
+    """Return the matrix (M, K) that maps a polynomial's values at the points to its values at other places.
+
+    Source: Berrut & Trefethen, Barycentric Lagrange interpolation, SIAM Review 46 (2004), eq. 4.2.
 
     Args:
         points: distinct points (K,).
@@ -87,7 +89,9 @@ def interpolation_matrix(points: Array, at: ArrayLike) -> Array:
 
 
 def differentiation_matrix(points: Array) -> Array:
-    """Return the matrix (K, K) from values to derivatives; op. cit. eqs. 9.4 and 9.5.
+    """Return the matrix (K, K) that maps a polynomial's values at the points to its derivatives there.
+
+    Source: Berrut & Trefethen, Barycentric Lagrange interpolation, SIAM Review 46 (2004), eqs. 9.4 and 9.5.
 
     Args:
         points: distinct points (K,).

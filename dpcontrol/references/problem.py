@@ -117,7 +117,7 @@ class Scale:
 
         Args:
             limits: limits of the cart.
-            share: the share.
+            share: share of the limits, 1 for all of them.
         """
         bounds = np.array([limits.position, limits.velocity, limits.acceleration, limits.jerk])
         return Limits(*(share * self.length / self.time ** np.arange(4) * bounds).tolist())
@@ -240,4 +240,9 @@ class ReferenceSettings(Settings, table="reference"):
     iterations: Annotated[int, Setting(least=1, help="Solver iterations in each round.")] = 100
 
     def _check_together(self) -> None:
+        """Reject an unknown collocation method, after the checks of single values.
+
+        Raises:
+            InputError: the method's name or its number of points is unknown.
+        """
         method_named(self.method)

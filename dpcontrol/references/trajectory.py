@@ -115,7 +115,17 @@ def times_on(mesh: Array, places: Array) -> Array:
 
 @dataclass(frozen=True)
 class Solved:
-    """A trajectory, its scaled constraint violation and the solver's outcome."""
+    """The solver's last iterate with its outcome.
+
+    Attributes:
+        trajectory: motion of the last iterate.
+        violation: largest violation of a constraint, scaled.
+        cost: value of the cost.
+        iterations: number of iterations.
+        seconds: time of the solution, s.
+        succeeded: True if it is a finite solution.
+        outcome: the solver's own answer in words.
+    """
 
     trajectory: Trajectory
     violation: float

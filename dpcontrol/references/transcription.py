@@ -246,6 +246,11 @@ class _Program:
     Variables, by column: an interval's start, its support values and its inputs. A support value that is the next
     interval's start is left out, unless the solver requires separate stages. Then follow the last state and, if it is
     free, the factor of the duration.
+
+    `nx` and `nz` are the lengths of a state and of its pendulum part, `count` the number K of points, and `intervals`
+    that of intervals. `program` is casadi's program; `values` are its parameters p, empty if it has none. `low_g` and
+    `high_g` are parts of the bounds of its constraints, in order, and `options` those of the solver that depend on it.
+    `fixed_counts`, for separate stages only, are the numbers of fixed entries of the first and the last state.
     """
 
     def __init__(
@@ -352,7 +357,7 @@ class _Program:
             self._name_stages(matrix.shape[0] - nx)
 
     def _equal(self, rows: list[ca.MX], expression: ca.MX, values: Array) -> None:
-        """Add constraints that an expression equals `values` to `rows` and to the bounds."""
+        """Add the constraints that an expression equals `values` to those so far, `rows`, and to the bounds."""
         rows.append(expression)
         self.low_g.append(values)
         self.high_g.append(values)

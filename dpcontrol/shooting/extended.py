@@ -240,8 +240,8 @@ def _newton(
 
     Each step leaves about 1e-12 of the residual, and the iteration ends when rounding dominates.
 
-    `energy`: 113-bit real. `kept`: nodes whose correction is reported. `ends`: refined periodic orbits of an open
-    orbit.
+    `energy`: 113-bit real. `settings`: tolerance and number of steps. `kept`: nodes whose correction is reported.
+    `ends`: refined periodic orbits of an open orbit.
     """
     from scipy.sparse.linalg import splu
 
@@ -290,7 +290,10 @@ def _newton(
 
 
 class _ExactEquations(ShootingEquations):
-    """The equations of multiple shooting with sections' levels, ends, closure and energy in 113 bits."""
+    """The equations of multiple shooting with sections' levels, ends, closure and energy in 113 bits.
+
+    They replace the attributes of the base class that residuals are computed from; the matrix stays in doubles.
+    """
 
     numbers = staticmethod(extended)
 
@@ -324,7 +327,7 @@ class _ExactEquations(ShootingEquations):
 
 
 def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
-    """Return the lifted γ(φ) (N,) at an end's phase, time-reversed for a stable manifold.
+    """Return the periodic orbit's lifted state γ(φ) (N,) at an end's phase φ, time-reversed for a stable manifold.
 
     `known`: the refined periodic orbit at this end.
     """

@@ -48,13 +48,15 @@ from dpcontrol.words.searches import Concluded
 
 @dataclass(frozen=True)
 class ManifoldEnd(Brief):
-    """A point γ(φ) + a v(φ) on a local manifold.
+    """A point γ(φ) + a v(φ) on a local manifold: the periodic orbit's state and unstable vector at a phase (`Frame`).
 
     It is lifted by whole turns.
 
     Attributes:
         stable: True if the manifold is the time-reversed unstable one. Phase and amplitude are then those of the
             reversed point and grow backward in time.
+        phase: φ, 1 for a period.
+        amplitude: a, signed by the branch.
         turns (N,): whole turns added to the coordinates.
     """
 
@@ -198,9 +200,10 @@ class Guess(Brief):
         states (K + 1, N): states of the nodes.
         durations (K,): durations of the segments, s.
         owners (K + 1,): index of each node's symbol, for messages.
-        markers: node -> (normal (N,), value) of the section on which it stays.
+        markers: node -> (normal (N,), value) of the section on which it stays, normal · x = value.
         energy: energy of a closed orbit, in the system's unit.
-        joints: nodes whose energy equation contains ε.
+        joints: segments whose gaps contain the unknown ε, which lets the energy jump at their ends; the first one if
+            empty.
         ends: both ends on the manifolds, None for a closed orbit.
         turn (N,): difference of last and first node of a closed orbit.
     """
@@ -225,7 +228,9 @@ class Guess(Brief):
 class Unknowns(Brief):
     """The unknowns of Newton's method.
 
-    States (K + 1, N), durations (K,) s, amplitudes (2,) or (0,), and ε.
+    States (K + 1, N), durations (K,) s, amplitudes (2,) on the manifolds of both ends, or (0,) for a closed orbit, and
+    ε (`unfolding`), the factor of an energy gradient that is added to the gaps of some segments, because the equations
+    of a flow that conserves energy are redundant.
     """
 
     states: Array
@@ -240,6 +245,14 @@ class ShootingEquations:
     The points on both manifold ends are base + amplitude · slope. Subclasses may replace bases, slopes, the markers'
     levels, the turn, the energy and its function by values in another arithmetic. `numbers` converts doubles to it, and
     residuals and unknowns are then in that arithmetic.
+
+    All attributes follow from the guess and are constant. n is the length N of a state and `count` the number K of
+    segments. The unknowns in one row are the states of the inner nodes, from `first_node` on, up to `states_end`, the
+    durations up to `durations_end`, both amplitudes of an open orbit, and ε. `columns` are their scales and `rows` the
+    factors on the residuals. `unfolded` are the segments whose gaps contain ε.
+
+    `starting` and `arriving` are the segments whose first or last node has columns of its own. `_row`, `_col` and
+    `_scaling` are the place and the factor of each entry of the sparse matrix.
     """
 
     numbers: Callable[[Any], Any] = staticmethod(np.asarray)
@@ -474,9 +487,10 @@ class _Linear:
 
 @dataclass(frozen=True)
 class _Step:
-    """An accepted step: its end, its damping, its simplified step, and ω if it was long enough to show it.
+    """An accepted step: its end, its damping and its simplified step.
 
-    `simplified`: scaled Newton step from its end with the Jacobian of its begin, in one row.
+    `simplified`: scaled Newton step from its end with the Jacobian of its begin, in one row. `lipschitz`: the Lipschitz
+    constant ω (`Shot`), None if the step was too short to show it.
     """
 
     unknowns: Unknowns
@@ -486,7 +500,7 @@ class _Step:
 
 
 class _Lost(Exception):
-    """Newton's method stopped; the argument is the cause."""
+    """Newton's method stopped; the argument is the cause, a `ShootingCause`."""
 
 
 def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot:
@@ -712,7 +726,8 @@ class ErrorEstimate(Brief):
 
     Attributes:
         condition: 1-norm condition number of the scaled Jacobian.
-        kantorovich: h, None if no step was long enough for ω.
+        kantorovich: Kantorovich's h, the product of the Lipschitz constant ω and the last Newton step (`Shot`); None if
+            no step was long enough for ω.
         radius: Kantorovich's distance of the true orbit's nodes, None if h ≥ 1/2. It does not include rounding errors.
         energy_error: largest error over the nodes, in the energy's unit.
         departure: largest distance of a node from the guess.

@@ -263,6 +263,10 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, distance: float
         curve: the periodic orbit.
         sign: +1 to search forward in time, -1 backward.
         distance: scaled distance of the approach.
+
+    Returns:
+        Time from the section, positive in either direction, and phase of the nearest point, 1 for a period; both NaN if
+            the connection does not come so near.
     """
     from scipy.optimize import root_scalar
 
@@ -676,7 +680,7 @@ def find_connections(
         same_tube = source is target and hits[0] == hits[1]
 
         def cut(which: int) -> Cut:
-            """Return the cut of the source's tube (0) or the target's (1)."""
+            """Return the unstable cut of the source's orbit (0) or of the target's (1)."""
             # Each tube leaves time for the other one and for the refinement.
             share, part = 0.4 * (which + 1), part_of(progress, 0.3 * which, 0.3 * (which + 1))
             part(f"tube of {(source, target)[which].saddle}", 0.0)
@@ -768,7 +772,8 @@ def _known(system: System, connection: Connection, connections: list[Connection]
 def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
     """Return an intersection's orbit by multiple shooting; after failures, by shooting with shorter segments.
 
-    `crossing`: intersection of the cuts. The last orbit may not have converged.
+    `crossing`: intersection of the cuts. `settings`: distances of the nodes from the orbits, and nodes per period. If
+    all attempts fail, the last orbit is returned, which has not converged.
     """
     orbit = _shot(crossing, settings)
     for shorter in (2, 4):

@@ -154,7 +154,9 @@ class ConnectionSettings:
 
     Attributes:
         distance: of seeds from their orbits, scaled.
+        cut: settings of the tubes' cuts.
         accept: largest gap between the two arrivals.
+        same: scaled distance of states on the section below which two intersections are the same.
         near: scaled distance of departure and arrival.
         finest: smallest chord if closed cuts cross unevenly.
         thorough: True if a longer search would not help.
@@ -204,7 +206,11 @@ def search_settings(
 
 @dataclass(frozen=True)
 class TubeSide:
-    """One branch of a tube at a given section crossing."""
+    """One branch of a tube at its crossing number `hit` of a section.
+
+    `manifold` is the unstable manifold of the tube's orbit, from which a stable tube follows by time reversal.
+    `longest` is the largest flight time, s.
+    """
 
     manifold: UnstableManifold
     section: Section
@@ -260,6 +266,12 @@ class Intersection(Brief):
     """An intersection of two cuts.
 
     Attributes:
+        sides: branches of the unstable and of the stable tube.
+        phases (2,): phases of the seeds on both tubes, 1 for a period.
+        states: arrivals (N,) of both tubes at the section.
+        turns (N,): whole turns by which the first state is ahead of the second.
+        tangents (2, 2): tangents of both cuts, in columns, in (q, p/p₀) by phase.
+        times: flight times of both trajectories, s.
         scale: phase step at the polyline crossing that led here, or zero.
     """
 
@@ -291,8 +303,8 @@ class Crossings:
 class _Place:
     """A place at which two polylines meet, with phases (2,).
 
-    The displacement `shift` (2,) moves the second polyline to the first. `sure` is True for a crossing, False for a
-    near touch.
+    The displacement `shift` (2,) moves the second polyline to the first. `spans` are finely spaced phases of both cuts
+    about the place. `sure` is True for a crossing, False for a near touch.
     """
 
     sides: tuple[TubeSide, TubeSide]
@@ -318,7 +330,7 @@ class _Place:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Two pieces that may meet if `shift` (2,) moves the second one."""
+    """Pieces of the unstable and the stable cut that may meet if `shift` (2,), in (q, p/p₀), moves the second one."""
 
     sides: tuple[TubeSide, TubeSide]
     pieces: tuple[Piece, Piece]
@@ -650,7 +662,7 @@ def _newton(
     """Return the intersections to which Newton's method leads from phases `guesses` (K, 2), None for failures.
 
     The two phases are changed until the arrivals of both tubes at the section are the same state. A failure leaves the
-    range of phases `reach` (K,) about its guess, does not arrive, or does not converge in time.
+    range of phases `reach` (K,) about its guess, does not arrive, or does not converge in time. `spent`: see `Spent`.
     """
     phases, smallest_gaps = guesses.copy(), np.full(len(guesses), np.inf)
     results: list[Intersection | None] = [None] * len(guesses)
@@ -689,7 +701,7 @@ def _partners(
     Polylines do not resolve them. Along the direction of least change, the gap is a s + ½ b s² + c s³/6, with a, b, c
     from its derivatives at the known intersection and on both sides. Next to a saddle-node, a second zero is near
     -2a/b. Next to a pitchfork (b = 0), two more are near ±√(-6a/c). The angle between the cuts is no criterion: if they
-    bend sharply, a pair within a hundredth of a phase may meet at 60°.
+    bend sharply, a pair within a hundredth of a phase may meet at 60°. `spent`: see `Spent`.
     """
     sides, gap_directions, phase_directions = crossings[0].sides, [], []
     for crossing in crossings:
@@ -730,7 +742,10 @@ def _partners(
 def _add(
     system: System, solutions: list[Intersection], intersections: list[Intersection], settings: ConnectionSettings
 ) -> None:
-    """Add solutions to the list `intersections` if their states differ from all previous ones, modulo whole turns."""
+    """Add solutions to the list `intersections` if their states differ from all previous ones, modulo whole turns.
+
+    `settings`: the scaled distance `same` of equal states.
+    """
     states = np.array([intersection.states[0] for intersection in intersections]).reshape(-1, system.dimension)
     for solution in solutions:
         if not (system.scaled_distance(states, solution.states[0]) < settings.same).any():

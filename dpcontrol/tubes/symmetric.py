@@ -58,8 +58,10 @@ class SymmetricSettings:
     Attributes:
         farthest: largest distance between connected neighbours of the grid, rad.
         distance: of seeds from their orbit, scaled.
-        leaves: start of the refined connection, scaled distance.
+        leaves: start of the refined connection, scaled distance from the orbit.
         segments: nodes per period.
+        near: scaled distance of departure and arrival, from which flight times count.
+        iterations: largest number of Newton steps.
 
     A solution is accepted if its largest defect is below `accept` (rad, rad/s). Two connections are the same if their
     energies differ by less than `same`, relative to the energy scale.
@@ -229,7 +231,11 @@ def _fitness(orbit: LyapunovOrbit) -> GridCause:
 
 @dataclass(frozen=True)
 class _Row:
-    """An orbit, with the other arms' angles (B, P, n-1) at arrival."""
+    """A row of the grid of energies and phases: an orbit, and where the trajectories of its tube arrive.
+
+    `gaps` (B, P, n-1): for B branches and P phases, the angles of all arms but the upright one, relative to the nearest
+    vertical positions, when it hangs down, rad. All zero means a symmetric connection; NaN without arrival.
+    """
 
     orbit: LyapunovOrbit
     branches: tuple[int, ...]
@@ -355,6 +361,7 @@ class _FamilySearch:
         """Solve for a half that ends at angles `target` (n,), rad, by multiple shooting.
 
         The unknowns of a Newton step are the orbit's energy, the phase of the start, the duration and the inner nodes.
+        `half`: guess. `spacing`: distance of the grid's energies, J, the largest change of the energy in a step.
 
         Returns:
             The half, its middle state and the largest defect, or None after a failure.

@@ -162,7 +162,8 @@ def _volume(orbit: LyapunovOrbit, states: Array) -> tuple[float, TransportCause]
 def _covered(system: System, energy: float, rest: Array, widths: Array) -> Array:
     """Return the share (…) of each cell in which V < E, with V linear about the states (…, N) at rest.
 
-    The area of a half-plane's part of a rectangle is the mixed second difference of x²/2, x > 0.
+    `energy`: E, J. `rest` (…, N): states at the cells' middles. `widths`: widths of a cell along both coordinates. The
+    area of a half-plane's part of a rectangle is the mixed second difference of x²/2, x > 0.
     """
     slopes = np.abs(system.numeric.gradient(rest)[..., :2]) * widths
     first, second = np.moveaxis(np.maximum(slopes, 1e-3 * slopes.max(axis=-1, keepdims=True) + 1e-12), -1, 0)
@@ -179,7 +180,8 @@ def _covered(system: System, energy: float, rest: Array, widths: Array) -> Array
 def _share(orbit: LyapunovOrbit, cut: Cut, action: float, branch: int) -> float | None:
     """Return the share of a branch's cut that is inside the cuts of the stable tube, or None for an open cut.
 
-    A cut consists of sectors about its middle, of which those beyond a bend are negative. Points (q, p/p₀) are complex.
+    `cut`: unstable cut of the orbit. `action`: area of a closed cut, the orbit's ∮ p dq, J s. `branch`: +1 or -1. A cut
+    consists of sectors about its middle, of which those beyond a bend are negative. Points (q, p/p₀) are complex.
     """
     system, section, stable = orbit.system, cut.section, orbit.manifold(stable=True)
     pieces, position = [piece for piece in cut.pieces if piece.branch == branch], np.asarray(section.position)

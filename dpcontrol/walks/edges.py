@@ -238,7 +238,11 @@ class Edges(Shown, Documented):
 
 
 class TubeCuts:
-    """Cuts of tubes, computed on first use in `seconds` altogether."""
+    """Cuts of tubes of one energy, each computed on first use.
+
+    `cuts` holds them by saddle, name of the section and number of the crossing, and `_manifolds` the manifolds by
+    saddle. `seconds` is the time of all cuts so far, s.
+    """
 
     def __init__(self, system: System, settings: ConnectionSettings | None = None) -> None:
         """Create an empty cache of the system's tube cuts."""

@@ -87,7 +87,10 @@ class SymbolChanges(Documented):
 
 
 class SymbolBranches:
-    """Connections that match a symbol at any energy, with cached searches."""
+    """Connections that match a symbol at any energy, with cached searches.
+
+    `_found` holds the connections between the symbol's saddles by energy, J, of all searches so far.
+    """
 
     def __init__(self, system: System, symbol: Symbol) -> None:
         """Prepare a symbol, such as "down-up > up-down +", to be followed in energy.

@@ -115,7 +115,11 @@ def _asymptotic_phases(before: Connection, after: Connection) -> tuple[float, fl
 
 
 class Strands:
-    """Samples of connections at equal steps, shared by all walks."""
+    """Samples of connections at equal steps, shared by all walks.
+
+    `_kept` holds states (K, N) from the section crossing outward, by the connection's name, its energy (J) and the side
+    of the section, +1 after it and -1 before it. Samples are replaced when a longer stay needs more of them.
+    """
 
     def __init__(self, segments: int) -> None:
         """Create an empty cache of samples with `segments` steps per period of the stop's orbit."""
@@ -615,6 +619,9 @@ class WalkSolver:
 
     Attributes:
         rivals: all connections of the graph, to detect orbits that follow another one.
+        settings: settings of the search for orbits.
+        least_seen: fewest wraps with which an orbit was found so far, by the names of the connections before and after
+            the stop.
     """
 
     rivals: Sequence[Connection]

@@ -517,10 +517,10 @@ class WalkAnswer:
     """Orbit of a requested walk, with the fewest sufficient wraps.
 
     Attributes:
-        least: fewest sufficient wraps.
+        least: fewest sufficient wraps; None if the request gives the wraps, or if no number of wraps suffices.
         orbit: None if no number of wraps suffices.
         seconds: solution time, s, without the search for the fewest wraps.
-        advice: wraps that suffice, or none, if the orbit was not found.
+        advice: result of the search for wraps that suffice, if the orbit was not found, else None.
         refined: orbit in extended precision, if requested.
         file: file of the orbit, if it was saved.
     """
