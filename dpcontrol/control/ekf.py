@@ -301,7 +301,8 @@ class FilterEquations:
         for entry, name in enumerate(inertias):
             factors[entry] = ca.exp(extra.get(name, ca.SX(0)))
         first = len(inertias)
-        laws = (parameters.shape[0] - first - 2 * n) // n
+        # The smoothing rate is the last one, if there is another law than the viscous one.
+        laws = max(1, (parameters.shape[0] - first - 2 * n - 1) // n)
         for i in range(n):
             coupling_error, friction_error = extra.get(f"S{i + 1}", ca.SX(0)), extra.get(f"friction_{i + 1}", 0)
             factors[first + i] = factors[first + n + i] = ca.exp(coupling_error)

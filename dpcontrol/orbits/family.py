@@ -249,8 +249,8 @@ def family_end(points: list[CurvePoint], problem: SymmetricShooting, *, largest:
     else:
         passes = distance <= LINGERS and abs(height - place.value) <= tolerance
         cause = FamilyEndCause.PASSES_EQUILIBRIUM if passes else FamilyEndCause.STUCK
-    period, size = problem.period(place.unknowns), place.measures[SIZE]
-    return FamilyEnd(place.value, cause, system, name, height, distance, period, size, limit or np.nan, place.residual)
+    period, size, limit = problem.period(place.unknowns), place.measures[SIZE], np.nan if limit is None else limit
+    return FamilyEnd(place.value, cause, system, name, height, distance, period, size, limit, place.residual)
 
 
 def _extrapolated(points: list[CurvePoint], problem: SymmetricShooting) -> float | None:

@@ -6,9 +6,9 @@ import pytest
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import CompiledEkf, FilterEquations, Timing, packed
-from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.estimator_settings import Augment, EkfSettings
 from dpcontrol.control.interface import Estimate, SampledModel, sampled_model
-from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Friction, Level, arm_chain_equations
 from dpcontrol.loop.bench import SensorSettings
 
 ROUNDING = 1e-9  # Of two filters over thousands of ticks, relative to standard deviations; NIS loses most.
@@ -217,3 +217,15 @@ def test_a_restart_trusts_the_positions_and_little_else(zeros: CompiledEkf) -> N
     assert np.isfinite(zeros.step(begun, 0.0, measured).sigmas).all()
     # A position that is not read is the last estimate's, and one that is not known at all is zero.
     assert zeros.restarted(lost, np.array([np.nan, np.nan, 0.2])).state[[0, 1, 4]].tolist() == [9.0, 0.0, 0.2]
+
+
+@pytest.mark.parametrize("arms", [1, 2])
+def test_friction_errors_scale_every_law_and_not_the_smoothing(arms: int) -> None:
+    equations = arm_chain_equations(arms, Level.CART, friction=(Friction.COULOMB,))
+    extra = {f"friction_{i + 1}": ca.SX(0.5 - 0.9 * i) for i in range(arms)}
+    parameters = ca.SX.sym("p", equations.parameters.shape[0])
+    predicted = FilterEquations(equations, 1e-3, (Augment.FRICTION,))._parameters(parameters, extra)
+    factors = np.array(ca.Function("factors", [parameters], [predicted])(1.0)).ravel()
+    friction = [1.5, 0.6][:arms]
+    assert factors[-2 * arms - 1 :] == pytest.approx([*friction, *friction, 1.0])
+    assert (factors[: -2 * arms - 1] == 1.0).all()
