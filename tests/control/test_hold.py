@@ -117,7 +117,7 @@ def test_a_kick_is_caught_within_the_track_up_to_where_the_cart_meets_its_stop(k
     state, farthest = controller.state + np.array([0, 0, 0, kick, 0, 0]), 0.0
     for _ in range(3000):
         u = float(np.clip(controller.gain @ (controller.state - state), -limits.acceleration, limits.acceleration))
-        right = lambda _, x, u=u: np.array(rate(x, u, LAB.base())).ravel()  # noqa: E731
+        right = lambda _, x, u=u: np.array(rate(x, u, MODEL.parameters)).ravel()  # noqa: E731
         state = solve_ivp(right, (0, PERIOD), state, rtol=1e-6, atol=1e-8).y[:, -1]
         farthest = max(farthest, abs(state[4]))
         if farthest >= limits.position:
