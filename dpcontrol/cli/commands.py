@@ -91,8 +91,14 @@ def command(name: str, verb: Verb) -> click.Command:
         for param in _parameters(name, verb, parameter, hints[key], argument_texts.get(key, ""))
     ]
     if verb.draws:
-        picture_help = "Picture of the result, .png, .pdf or .svg. [default: none]"
-        params.append(Option(["--picture"], type=click.Path(path_type=Path), group=OUTPUT, help=picture_help))
+        params.append(
+            Option(
+                ["--picture"],
+                type=click.Path(path_type=Path),
+                group=OUTPUT,
+                help="Picture of the result, .png, .pdf or .svg. [default: none]",
+            )
+        )
     params.append(Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="One JSON document on stdout."))
 
     def run(*, as_json: bool, **values: Any) -> None:
@@ -224,7 +230,7 @@ def _click_type(name: str, kinds: Sequence[Any], output: Output | None) -> Any:
     """Return the type by which click reads a value from text.
 
     Args:
-        name: name of the parameter, which may have a parser of its own; "" for an entry of a list.
+        name: name of the parameter, for those with a separate parser. Entries of lists have the name "".
         kinds: types of the parameter, of which the first that click can read counts.
         output: declaration of the file that it names, or None.
 

@@ -243,12 +243,10 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
     # The least costly motions of all parts are tried first, then the second best of all. `reason` is the obstacle of
     # the last attempt, None for a motion that has passed all checks so far.
     reason: Concluded | None = None
-    candidate_of_part = dict.fromkeys(moving_parts, 0)
-    while all(candidate < len(candidates[k]) for k, candidate in candidate_of_part.items()):
+    for rank in range(min(map(len, candidates.values()), default=1)):
         progress("refining", 0.8)
         pieces = [
-            _refined(plan, part, candidates[k][candidate_of_part[k]]) if k in candidate_of_part else part
-            for k, part in enumerate(parts)
+            _refined(plan, part, candidates[k][rank]) if k in candidates else part for k, part in enumerate(parts)
         ]
         motion = joined(pieces)[0]
         reason = departure(robust, motion) if motion.converged else motion.ending
@@ -258,7 +256,6 @@ def _polished(plan: Plan, progress: Progress) -> Reference:
         if reason is None:
             progress("polished", 1.0)
             return motion
-        candidate_of_part = {k: candidate + 1 for k, candidate in candidate_of_part.items()}
     return replace(robust, converged=False, ending=ReferenceEnding(ReferenceCause.NO_CHEAPER, inner=reason))
 
 
