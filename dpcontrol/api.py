@@ -3295,8 +3295,8 @@ def _lyapunov(
         system: system of the saddle.
         saddle: name of the saddle.
         number: number of the family of orbits about the saddle, slowest first, from 0.
-        energy: energy of the orbit; None for a family.
-        energies: first and last energy of the family; None for one orbit.
+        energy: energy of the orbit, or None for a family.
+        energies: first and last energy of the family, or None for one orbit.
         progress: receiver of progress reports.
 
     Raises:

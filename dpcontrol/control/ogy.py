@@ -382,7 +382,7 @@ class OgySession(ClockedSession):
         # Plain floats are faster for one run.
         self._times: Any = law.times.tolist() if count is None else law.times
         self._tick = 0
-        self._lost: tuple[Any, Any] | None = None
+        self._lost: tuple[NDArray[np.intp] | int, Array | float] | None = None
         prior = np.zeros((0, 0)) if law.learning is None else law.learning.prior
         origin = np.zeros(len(law.first_state))
         first = _Course(

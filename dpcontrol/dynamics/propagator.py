@@ -245,9 +245,9 @@ def _original(equations: Equations, kind: Hashable, make: Callable[[int], Any], 
 
     Args:
         equations: equations of the code.
-        kind: which of their codes.
+        kind: key of the code among those of these equations.
         make: compiles with heyoka's `opt_level`, 0 or 1.
-        work: work that follows, in the unit of `_LONG_WORK`, or None if `make` has a level of its own.
+        work: work that follows, in the unit of `_LONG_WORK`, or None if `make` sets the level.
     """
     integrators = _MADE.setdefault(equations, {})
     original, remaining = integrators.get(kind, (None, 0))

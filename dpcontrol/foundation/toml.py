@@ -164,9 +164,9 @@ class Table:
         """Return the object that the table makes of the values of a file.
 
         Args:
-            values: values by key as TOML gives them; in the values that `make` receives, lists are tuples.
+            values: values by key, as parsed.
             place: place of the table.
-            context: any object that the functions `make` of this table and of those within need; None if none does.
+            context: object that the functions `make` of this table and of the tables in it need, or None.
 
         Raises:
             InputError: every unknown or missing key, and every value of another type or out of bounds.

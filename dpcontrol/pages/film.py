@@ -299,7 +299,7 @@ def write_film(
     The suffix selects GIF, WebP or (with imageio-ffmpeg) MP4. The same view gives the same bytes.
 
     Args:
-        view: run, recording, reference or orbit to show, as a `RunView`; any other object is rejected.
+        view: `RunView` of a run, recording, reference or orbit.
         file: the film.
         stretch: time range in s; all by default.
         yes: accept any duration of the writing.

@@ -522,9 +522,9 @@ def _itinerary(
     Args:
         document: contents of the file.
         text: text of the file.
-        path: path of the file, for messages and for files beside it.
-        model: model of the arms; None to read the one that the file names.
-        plant: model of the plant; None to read the one that the file names, if any.
+        path: path of the file, for messages and for files in its folder.
+        model: model of the arms. Without it, the model in the file is read.
+        plant: model of the plant. Without it, the plant in the file is read, if there is one.
 
     Raises:
         InputError: names every mistake.
