@@ -67,7 +67,7 @@ from dpcontrol.control.interface import (
     pendulum_scale,
 )
 from dpcontrol.control.lqr import ClosingWeights, QuadraticWeights
-from dpcontrol.dynamics.compiled import Compiled
+from dpcontrol.dynamics.compiled import QUICK, Compiled
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Setting, Settings
@@ -412,7 +412,7 @@ def riccati_gains(
     Args:
         state_jacobians: A (K, N, N).
         input_jacobians: B (K, N).
-        weights: diagonal (N,) of Q, or Q at each tick (K, N, N).
+        weights: Q (N, N), its diagonal (N,), or Q at each tick (K, N, N).
         effort: weight r of the input.
         terminal: P (N, N) at the end.
         extras: effects E (K, N, E) on the state after a period, and decay factors D (E,) per period, of the
@@ -423,23 +423,20 @@ def riccati_gains(
     extra_gains = np.empty((len(gains), len(decay)))
     costs, extra_cost = np.empty((len(gains) + 1, *terminal.shape)), np.zeros(effects.shape[1:])
     costs[-1] = cost = terminal
-    by_tick = weights.ndim > 1
-    state_cost = weights[-1] if by_tick else np.diag(weights)
-    # numpy's outer and diag would take as long as all the rest.
+    state_cost = np.diag(weights) if weights.ndim == 1 else weights
+    state_costs = np.broadcast_to(state_cost, (len(gains), *terminal.shape))
+    # numpy's outer would take as long as all the rest.
     for k in range(len(gains) - 1, -1, -1):
         matrix, response = state_jacobians[k], input_jacobians[k]
         weighted = response @ cost
         curvature = effort + weighted @ response
         gains[k] = gain = (weighted @ matrix) / curvature
         closed_loop = matrix - response[:, None] * gain
-        if extras:
-            extra_push = cost @ effects[k] + extra_cost * decay
-            extra_gains[k] = (response @ extra_push) / curvature
-            extra_cost = closed_loop.T @ extra_push
-        if by_tick:
-            state_cost = weights[k]
+        extra_push = cost @ effects[k] + extra_cost * decay
+        extra_gains[k] = (response @ extra_push) / curvature
+        extra_cost = closed_loop.T @ extra_push
         # The symmetric (Joseph) form keeps P positive over thousands of steps.
-        cost = state_cost + effort * (gain[:, None] * gain) + closed_loop.T @ cost @ closed_loop
+        cost = state_costs[k] + effort * (gain[:, None] * gain) + closed_loop.T @ cost @ closed_loop
         costs[k] = cost = (cost + cost.T) / 2
     return gains, extra_gains, costs
 
@@ -612,7 +609,7 @@ def extra_jacobians(
     """
     equations = FilterEquations(model.equations, model.period, augment)
     size, n, count = equations.dimension, model.dimension, len(states)
-    program = Compiled(equations.prediction(with_jacobian=True))
+    program = Compiled(equations.prediction(with_jacobian=True), QUICK)
     inputs = np.zeros((program.size_in, count))
     inputs[:n] = states.T
     for name, value in (("command", commands), ("parameters", model.parameters), ("process", process)):
@@ -711,17 +708,16 @@ def _of_second_order(
 
     effects, unit, nominal_defects = [], _SHARE * np.eye(m), defects(np.zeros(m))
     for i, j in combinations_with_replacement(range(m), 2):
-        if i == j:
-            second_difference = defects(unit[i]) + defects(-unit[i]) - 2 * nominal_defects
-            effects.append(second_difference / (2 * _SHARE**2))
-        else:
-            mixed_difference = (
-                defects(unit[i] + unit[j])
-                + defects(-unit[i] - unit[j])
-                - defects(unit[i] - unit[j])
-                - defects(unit[j] - unit[i])
-            )
-            effects.append(mixed_difference / (4 * _SHARE**2))
+        # Half of the second derivative by one error, or the mixed one by two.
+        difference = (
+            2 * (defects(unit[i]) + defects(-unit[i]) - 2 * nominal_defects)
+            if i == j
+            else defects(unit[i] + unit[j])
+            + defects(-unit[i] - unit[j])
+            - defects(unit[i] - unit[j])
+            - defects(unit[j] - unit[i])
+        )
+        effects.append(difference / (4 * _SHARE**2))
     return np.pad(np.stack(effects, axis=2), ((0, 0), (0, int(model.lag > 0)), (0, 0)))
 
 
@@ -748,7 +744,7 @@ def adaptive_controller(
             f"controller: kind = {settings.kind!r} needs estimated errors of the model, but the estimator has "
             f'augment = {list(estimator.augment)!r}: add "parameters", and "friction" as well'
         )
-    states, commands, drive = motion_at_ticks(reference, model)
+    states, commands, _ = path = motion_at_ticks(reference, model)
     state_jacobians, input_jacobians = model.linearised(states[:-1], commands)
     process = estimator.process(model.arms, model.period)
     effects, decay = extra_jacobians(model, estimator.augments, states[:-1], commands, process)
@@ -759,11 +755,10 @@ def adaptive_controller(
     diagonal, effort = settings.weights(model.arms, model.period)
     weights = _widened(np.diag(diagonal), model)
     terminal = terminal_cost(state_jacobians[-1], input_jacobians[-1], weights=weights, effort=effort)
-    weights_by_tick = np.broadcast_to(weights, (len(input_jacobians), *weights.shape))
     gains, extra_gains, _ = riccati_gains(
         state_jacobians,
         input_jacobians,
-        weights=weights_by_tick,
+        weights=weights,
         effort=effort,
         terminal=terminal,
         extras=(effects, decay),
@@ -786,8 +781,7 @@ def adaptive_controller(
         raise GoalMissed(
             "the controller's gains became infinite; increase the weight of the effort or shorten the period"
         )
-    limit = reference.limits.acceleration
     return AdaptiveController(
-        settings.kind, states, **_by_time(model, TickedMotion(states, commands, drive), gains, limit),
+        settings.kind, states, **_by_time(model, path, gains, reference.limits.acceleration),
         extra_gains=extra_gains, pair_gains=pair_gains, names=names, shares=shares, trust=settings.trust,
     )  # fmt: skip

@@ -16,11 +16,10 @@ Sources: Biscani & Izzo, Revisiting high-order Taylor methods for astrodynamics 
 3. Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (1993), section II.5.
 """
 
-import pickle
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +28,7 @@ import numpy as np
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.cache import cache_file, compiler_folder, keep, kept
+from dpcontrol.foundation.cache import cache_file, compiler_folder, keep, kept, remembered
 from dpcontrol.foundation.errors import remark
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.parts import Later, installed
@@ -222,10 +221,14 @@ class Compiled:
 
     All inputs are contiguous in one array, each at its slice in `slices`. The function is compiled at its
     first call and cannot be shared between threads. Without heyoka, casadi's interpreter replaces it.
+
+    Args:
+        function: function to compile.
+        options: `QUICK` for a function that is called only a few times, default `COMPACT`. They round differently.
     """
 
-    def __init__(self, function: ca.Function) -> None:
-        self.function = function
+    def __init__(self, function: ca.Function, options: Mapping[str, Any] = COMPACT) -> None:
+        self.function, self._options = function, options
         sizes = [function.size1_in(i) for i in range(function.n_in())]
         ends = np.cumsum(sizes)
         self.slices = {
@@ -252,19 +255,15 @@ class Compiled:
         """
         if not _HEYOKA:
             return _ByCasadi(self.function)
-        file = _kept_at(self.function, f"{self.function.name()}-{width}")
-        content = None if file is None else kept(file)
-        if content is not None:
-            # Cached in another format: compiled again.
-            with suppress(Exception):
-                return pickle.loads(content)
-        variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
-        arguments = [variables[place] for place in self.slices.values()]
-        outputs = to_heyoka(self.function, arguments, switches=True)
-        machine = hy.cfunc(outputs, variables, batch_size=width, force_avx512=True, **COMPACT)
-        if file is not None:
-            keep(file, pickle.dumps(machine))
-        return machine
+
+        def compiled() -> Any:
+            """Compile the function."""
+            variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
+            outputs = to_heyoka(self.function, [variables[place] for place in self.slices.values()], switches=True)
+            return hy.cfunc(outputs, variables, batch_size=width, force_avx512=True, **self._options)
+
+        file = _kept_at(self.function, f"{self.function.name()}-{width}-{self._options['opt_level']}")
+        return compiled() if file is None else remembered(file, compiled)
 
     def __call__(self, inputs: Array, out: Array) -> Array:
         """Evaluate the function into `out`, and return it.
@@ -367,15 +366,16 @@ def fixed_step(equations: Equations) -> ca.Function:
     Args:
         equations: equations with N states.
     """
-    f, (x, u, p) = equations.function(), (equations.state, equations.inputs, equations.parameters)
     # Cached with its machine code because the tableau is in scipy.integrate, which takes long to import.
-    key = content_hash(f.serialize(), _VERSION, ca.CasadiMeta.version())
-    file = cache_file("machine-code", "expression", key)
-    if (content := kept(file)) is not None:
-        with suppress(Exception):
-            return ca.Function.deserialize(content.decode())
+    key = content_hash(equations.function().serialize(), _VERSION, ca.CasadiMeta.version())
+    return remembered(cache_file("machine-code", "expression", key), partial(_fixed_step, equations))
+
+
+def _fixed_step(equations: Equations) -> ca.Function:
+    """Return the step of `fixed_step` without the cache."""
     from scipy.integrate import DOP853
 
+    f, (x, u, p) = equations.function(), (equations.state, equations.inputs, equations.parameters)
     h, no_shift = ca.SX.sym("h"), ca.SX.zeros(equations.dimension)
     stages: list[ca.SX] = []
     for coefficients in DOP853.A[: DOP853.n_stages].tolist():
@@ -383,9 +383,7 @@ def fixed_step(equations: Equations) -> ca.Function:
         stages.append(f(x + h * shift, u, p))
     mean_slope = sum((b * k for b, k in zip(DOP853.B.tolist(), stages, strict=True) if b), no_shift)
     names = ["state", "inputs", "duration", "parameters"]
-    step = ca.Function("fixed_step", [x, u, h, p], [ca.cse(ca.densify(x + h * mean_slope))], names, ["following"])
-    keep(file, step.serialize().encode())
-    return step
+    return ca.Function("fixed_step", [x, u, h, p], [ca.cse(ca.densify(x + h * mean_slope))], names, ["following"])
 
 
 def compiled_step(equations: Equations) -> Compiled:

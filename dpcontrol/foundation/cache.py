@@ -15,10 +15,13 @@ is listed and deleted together with the results.
 
 import hashlib
 import os
+import pickle
 import re
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from dpcontrol.foundation.config import at_home
 from dpcontrol.foundation.document import Documented
@@ -30,7 +33,7 @@ VARIABLE = "DPCONTROL_CACHE"
 """Environment variable with the folder."""
 KINDS = {
     "plans": ".npz", "transfers": ".npz", "atlases": ".npz", "preflights": ".json",
-    "machine-code": ".bin",
+    "controllers": ".bin", "machine-code": ".bin",
 }  # fmt: skip
 """Kinds of results, each with one file suffix."""
 COMPILER = "heyoka"
@@ -91,6 +94,22 @@ def keep(file: Path, content: bytes) -> None:
         write_whole(at_home(file), content + _seal(file, content))
     except InputError as error:
         unusable(error)
+
+
+def remembered(file: Path, make: Callable[[], Any]) -> Any:
+    """Return the object that is stored under a name, or make it now and store it.
+
+    Args:
+        file: entry, from `cache_file`.
+        make: makes the object, which must be able to be pickled.
+    """
+    if (content := kept(file)) is not None:
+        # An object of another version is made again.
+        with suppress(Exception):
+            return pickle.loads(content)
+    made = make()
+    keep(file, pickle.dumps(made))
+    return made
 
 
 def compiler_folder() -> Path | None:

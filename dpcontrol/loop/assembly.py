@@ -8,7 +8,7 @@ use these parts.
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,12 @@ from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, sa
 from dpcontrol.control.lqr import HoldController, HoldSettings, QuadraticWeights, hold_controller
 from dpcontrol.control.margins import Margins, NominalLoop, margins_of
 from dpcontrol.control.tick import TickProgram, whole_periods
-from dpcontrol.control.tracking import TvlqrSettings
+from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.compiled import VECTOR
+from dpcontrol.foundation.cache import cache_file, remembered
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.loop.bench import BenchDraw, SensorSettings, StreamReader
 from dpcontrol.loop.controllers import make_controller, make_estimator, nearest_keeper
@@ -45,6 +47,8 @@ from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
+_LAWS = 1
+"""Version of the adaptive controller, part of its cache key: raise it whenever its gains change."""
 _PLACES = 100.0
 """Rate of the places of a reference at which a run can be caught, Hz."""
 _HELD = 10.0
@@ -71,6 +75,8 @@ class Assembly:
     """Begin and end of the stay at each stop, s, for runs that return to it."""
     base: "Assembly | None" = None
     """Assembly whose fallback and recovery this one uses."""
+    cached: bool = False
+    """True to store an adaptive controller in the cache, since its tables take a second to compute."""
 
     def under(self, settings: LoopSettings) -> "Assembly":
         """Return an assembly that keeps this controller under other settings, so that many runs share one controller.
@@ -118,11 +124,19 @@ class Assembly:
             InputError: the reference did not converge or belongs to other arms.
             GoalMissed: no controller exists for the reference.
         """
-        settings = self.settings
-        return self.law or make_controller(
-            self.reference, self.arms, self.model, settings=settings.controller, estimator=settings.filters,
+        settings, motion = self.settings, self.reference
+        made = partial(
+            make_controller, motion, self.arms, self.model, settings=settings.controller, estimator=settings.filters,
             keep=settings.keep,
         )  # fmt: skip
+        if self.law or not self.cached or not isinstance(settings.controller, AdaptiveSettings):
+            return self.law or made()
+        inputs = (
+            _LAWS, motion.method, motion.limits, self.arms, settings.rate, settings.known_lag, settings.controller,
+            settings.filters,
+        )  # fmt: skip
+        key = content_hash(repr(inputs), *(array.tobytes() for array in (motion.mesh, motion.states, motion.inputs)))
+        return remembered(cache_file("controllers", "adaptive", key), made)
 
     @cached_property
     def fallback(self) -> NearestKeeper | None:

@@ -305,7 +305,9 @@ def assembled(plan: Plan) -> Assembly:
     """
     itinerary = plan.itinerary
     reference = plan.followed().reference
-    return Assembly(reference, itinerary.model.arms, itinerary.loop, itinerary.uncertainty, stays=stays(reference))
+    return Assembly(
+        reference, itinerary.model.arms, itinerary.loop, itinerary.uncertainty, stays=stays(reference), cached=True
+    )
 
 
 def run_plan(

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -190,3 +191,16 @@ def test_a_run_in_blocks_equals_the_run_tick_by_tick(name: str, monkeypatch: pyt
     # Blocks end where the cart brakes after a fall.
     assert sum(computed) >= len(blocks.ticks.times) / 2
     assert len(blocks.thinking) == len(singly.thinking) == np.count_nonzero(singly.ticks.times >= 0)
+
+
+def test_the_controller_of_a_plan_is_read_from_the_cache_for_equal_settings_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = make_plan(load_itinerary("turn-from-rest"))
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
+    made, read = (assembled(plan).controller for _ in range(2))
+    assert len(list((tmp_path / "controllers").iterdir())) == 1
+    assert all(np.array_equal(vars(made)[name], vars(read)[name]) for name in ("gains", "extra_gains", "pair_gains"))
+    for change in ({"angle": 5000.0}, {"rate": 800}, {"drive_lag": 0.002}):
+        other = assembled(replace(plan, itinerary=plan.itinerary.with_run(change))).controller
+        assert not np.array_equal(vars(other)["gains"], vars(made)["gains"])
