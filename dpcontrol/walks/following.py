@@ -39,7 +39,7 @@ class SymbolChange(Documented):
         energy: J.
         within: error bound of the energy, J.
         before, after: connection names.
-        ends: True if the first connection ends there, False if another one has a larger angle.
+        ends: True if the first connection is not found beyond, False if another one has a larger angle.
         unit: unit of the energy, "" in a system with its own units.
     """
 
@@ -56,7 +56,7 @@ class SymbolChange(Documented):
     @property
     def sentence(self) -> str:
         """A sentence describing the change."""
-        reason = "the previous one ends there" if self.ends else "another one has a larger angle there"
+        reason = "the previous one is not found beyond it" if self.ends else "another one has a larger angle beyond it"
         return (
             f'"{self.symbol}" selects another connection beyond {self.energy:.6g}{self.unit} (±{self.within:.1g}), '
             f"because {reason}: {self.before} before, {self.after} after"
