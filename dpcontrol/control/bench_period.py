@@ -7,12 +7,11 @@ from collections import namedtuple
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any
 
 import casadi as ca
 
 from dpcontrol.dynamics.compiled import Compiled
-from dpcontrol.foundation.arrays import Array
 
 _WHOLE = 1.5 * 2**52
 """A number whose sum with smaller ones is rounded to whole numbers, half to even."""
@@ -175,23 +174,3 @@ def sensors_and_drive(kind: PeriodKind, lanes: int) -> tuple[ca.Function, ca.Fun
     velocity = state[kind.motor + 1] + (drive.lag * state[kind.cart + 2] if kind.lags else 0)
     acting = limits.acting(demands[1], velocity, drive.period)
     return sensors, ca.Function("drive", [*drive_inputs.values()], [demands, spread([acting])])
-
-
-def bound(
-    function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]
-) -> tuple[Callable[[], None], tuple[object, ...]]:
-    """Return a call of a function between fixed arrays, without copies, and the objects that must live as long.
-
-    The call takes no arguments and returns None: it reads the inputs' arrays and overwrites the outputs'.
-
-    Args:
-        function: function of dense vectors.
-        inputs: contiguous arrays of its inputs.
-        outputs: contiguous arrays of its outputs.
-    """
-    buffer, call = cast("Any", function.buffer())
-    for k, array in enumerate(inputs):
-        buffer.set_arg(k, array.data)
-    for k, array in enumerate(outputs):
-        buffer.set_res(k, array.data)
-    return call, (function, buffer, inputs, outputs)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import Compiled
-from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.equations import Equations, Interpreted
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
@@ -420,18 +420,9 @@ class SampledModel:
         return self._function.factory("plain", self._function.name_in(), [self._function.name_out(0)])
 
     @cached_property
-    def _buffered(self) -> tuple[Any, Any, Array, Array, Array]:
-        """The call of the step without copies, what must live as long, and its state (N,), input (1,) and result (N,).
-
-        They share memory with the step's arguments.
-        """
-        buffer, trigger = self._plain.buffer()
-        state, command, following = np.zeros(self.dimension), np.zeros(1), np.zeros(self.dimension)
-        for k, array in enumerate((state, command, self.parameters)):
-            buffer.set_arg(k, memoryview(array.data))
-        buffer.set_res(0, memoryview(following.data))
-        # The trigger has pointers to the buffer and all arrays, which must therefore live as long as it does.
-        return trigger, (buffer, state, command, following), state, command, following
+    def _points(self) -> Interpreted:
+        """The step without conversions of its arguments."""
+        return Interpreted(self._plain)
 
     def step(self, state: Array, command: float) -> Array:
         """Return the state (N,) one period later.
@@ -440,11 +431,10 @@ class SampledModel:
             state: state (N,).
             command: constant acceleration of the cart, m/s².
         """
-        trigger, _, state_buffer, input_buffer, following = self._buffered
-        state_buffer[:] = state
-        input_buffer[0] = command
-        trigger()
-        return following.copy()
+        call, inputs, following = self._points.points(1)
+        inputs[0][:], inputs[1][:], inputs[2][:] = state, command, self.parameters
+        call()
+        return following[0].copy()
 
     def steps(self, states: Array, commands: Array, parameters: Array) -> Array:
         """Return the states (K, N) one period later.

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.equations import Equations, Interpreted
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, compiler_folder, keep, kept, remembered
 from dpcontrol.foundation.errors import remark
@@ -282,33 +282,11 @@ class _ByCasadi:
 
     def __init__(self, function: ca.Function) -> None:
         symbols = function.sx_in()
-        self._function = ca.Function(function.name(), symbols, [ca.densify(function(*symbols))])
-        # Call, inputs and output by the number of points, and the objects on which the calls depend.
-        self._made: dict[int, tuple[Any, list[Array], Array]] = {}
-        self._alive: list[Any] = []
-
-    def _buffers(self, count: int) -> tuple[Any, list[Array], Array]:
-        """Return the call that evaluates `count` points, and the arrays on which it works.
-
-        The arrays (count, size) are those of the inputs and that of the output. They are made once for each count.
-        """
-        if count not in self._made:
-            function = self._function.map(count)
-            pair: Any = function.buffer()
-            buffer, evaluate = pair
-            inputs = [np.zeros((count, self._function.size1_in(i))) for i in range(function.n_in())]
-            output = np.zeros((count, self._function.numel_out(0)))
-            for i, array in enumerate(inputs):
-                buffer.set_arg(i, array.data)
-            buffer.set_res(0, output.data)
-            self._made[count] = evaluate, inputs, output
-            # The evaluator does not keep them alive.
-            self._alive += [function, buffer]
-        return self._made[count]
+        self._function = Interpreted(ca.Function(function.name(), symbols, [ca.densify(function(*symbols))]))
 
     def __call__(self, inputs: Array, out: Array) -> Array:
         """Evaluate the function as `Compiled` does: inputs (size_in,) or (size_in, S) into `out`, which is returned."""
-        evaluate, arrays, result = self._buffers(1 if inputs.ndim == 1 else inputs.shape[1])
+        evaluate, arrays, result = self._function.points(1 if inputs.ndim == 1 else inputs.shape[1])
         first = 0
         for array in arrays:
             end = first + array.shape[1]

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.control.bench_period import bound, sensors_and_drive
+from dpcontrol.control.bench_period import sensors_and_drive
+from dpcontrol.dynamics.equations import bound_call
 from dpcontrol.loop.bench import StreamReader
 from dpcontrol.loop.result import Ticks
 from dpcontrol.loop.simulated import SimulatedRig
@@ -41,8 +42,7 @@ class Blocks:
 
         Row k of `_steps` holds the inputs of the plant's step before tick k, of which `_state` and `_acting`, the
         acceleration, are columns. `_demands` are those on their way to the drive at each tick. `_command_noise`,
-        `_position_noise` and `_zeros` are the random numbers of a block, which `_fill` writes. `_alive` keeps the
-        buffers that the machine code of `_calls` uses.
+        `_position_noise` and `_zeros` are the random numbers of a block, which `_fill` writes.
         """
         kind, program, tick = rig.kind, ticker.program, ticker.program.equations
         assert kind is not None
@@ -62,7 +62,6 @@ class Blocks:
         self._command_noise, self._position_noise = np.zeros((BLOCK, 1)), np.zeros((BLOCK, n + 1))
         self._measured = np.array(tick.measured)[:, None]
         self._reading.present[:], self._zeros[:] = self._measured, rig.drawn(0, 1).zeros
-        self._alive: list[object] = []
         self._calls = [self._call(k, sum(sizes[:4]), sum(sizes[:3])) for k in range(BLOCK)]
 
     def _call(self, k: int, inputs: int, outputs: int) -> tuple[Any, ...]:
@@ -84,9 +83,8 @@ class Blocks:
         sensor_inputs += [reading.present[k], reading.measured[k - 1]]
         command = self._report[k + 1, self._ticker.program.equations.report.slices.command]
         drive_inputs = [command, self._command_noise[k], self._demands[k], state[k + 1], rig.drive_numbers]
-        read_sensors, *sensor_buffers = bound(sensors, sensor_inputs, [reading.measured[k]])
-        drive_call, *drive_buffers = bound(drive, drive_inputs, [self._demands[k + 1], self._acting[k + 1]])
-        self._alive += [*sensor_buffers, *drive_buffers]
+        read_sensors = bound_call(sensors, sensor_inputs, [reading.measured[k]])
+        drive_call = bound_call(drive, drive_inputs, [self._demands[k + 1], self._acting[k + 1]])
         return (
             self._steps[k],
             state[k + 1],
