@@ -110,26 +110,20 @@ class UnstableManifold(Brief, Generic[Orbit]):
         system, centre = orbit.system, orbit.centre
         phases = np.atleast_1d(np.asarray(phases, dtype=float))
         spacing = 1.0 if self.half_turn is None else 0.5
-        # Phases are reduced to the shortest arc, and the rest follows by the symmetry of half a period.
-        turns = np.rint(phases / spacing)
-        base = phases - turns * spacing
-        states = np.empty((len(base), system.dimension))
-        matrices = np.empty((len(base), system.dimension, system.dimension))
-        for side in (base >= 0, base < 0):
-            order = np.flatnonzero(side)[np.argsort(np.abs(base[side]), kind="stable")]
-            states[order], matrices[order] = system.propagator.sample_with_stm(orbit.state, base[order] * orbit.period)
-        growth = np.exp(-self.exponent * base)[:, None]
-        vectors = (matrices @ self.vector) * growth
+        # States are taken on the shortest arc, and the rest follows by the symmetry of half a period. Vectors are
+        # propagated forwards only: backwards, errors grow by λ^(1/2) against the vector itself.
+        rounds, turns = np.floor(phases / spacing), np.rint(phases / spacing)
+        ahead, base = phases - rounds * spacing, phases - turns * spacing
+        states, matrices = system.propagator.sample_with_stm(orbit.state, ahead * orbit.period)
+        states[base < 0], _ = system.propagator.sample_with_stm(orbit.state, base[base < 0] * orbit.period)
+        vectors = (matrices @ self.vector) * np.exp(-self.exponent * ahead)[:, None]
+        if self.half_turn is not None:
+            symmetry, sign = self.half_turn
+            states = np.where(turns[:, None] % 2, (states - centre) @ symmetry.T + centre, states)
+            vectors = np.where(rounds[:, None] % 2, sign * vectors @ symmetry.T, vectors)
         state_slopes = system.numeric.rate(states) * orbit.period
         vector_slopes = np.einsum("kij,kj->ki", system.numeric.jacobian(states), vectors) * orbit.period
         vector_slopes -= self.exponent * vectors
-        if self.half_turn is not None:
-            symmetry, sign = self.half_turn
-            odd = (turns % 2).astype(bool)
-            states[odd] = (states[odd] - centre) @ symmetry.T + centre
-            state_slopes[odd] = state_slopes[odd] @ symmetry.T
-            vectors[odd] = sign * vectors[odd] @ symmetry.T
-            vector_slopes[odd] = sign * vector_slopes[odd] @ symmetry.T
         lengths = np.linalg.norm(vectors / system.scale, axis=1)
         return Frame(phases, states, vectors, state_slopes, vector_slopes, lengths)
 

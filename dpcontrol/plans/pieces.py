@@ -385,13 +385,20 @@ def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
 def ways_round(apart: Array) -> list[Array]:
     """Return the whole turns (n,) that a transfer may add to its end so that the arms go one way or the other.
 
-    An arm that is within a tenth of a whole number of turns has one candidate, and any other arm has two.
+    An arm that is within a tenth of a whole number of turns has one candidate, and any other arm has two. The same
+    holds for the joints of two arms: from Up-Down to rest, the outer arm returns to its angle, or goes on with the
+    inner arm. The second way can avoid a fall with folded arms, which some carts cannot control.
 
     Args:
         apart: angles (n,) of the arms at the start of the transfer minus those of its end, in turns.
     """
-    choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
-    return [np.array(ways) for ways in product(*choices)]
+    by_arm, by_joint = (
+        product(*(sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in angles))
+        for angles in (apart, np.diff(apart, prepend=0.0))
+    )
+    # Three arms have eight ways already.
+    further = (tuple(np.cumsum(ways)) for ways in by_joint if len(apart) == 2)
+    return [np.array(ways) for ways in dict.fromkeys([*by_arm, *further])]
 
 
 def _blend(itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, progress: Progress) -> SolvedPiece:

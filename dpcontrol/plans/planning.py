@@ -428,8 +428,9 @@ def _assembled(
         pieces: solved flights (F,).
         orbits: sustained orbits by saddle.
     """
-    # Runs are caught on the first orbit and judged on the last one, so each lasts at least one period.
-    leads = (max(round(part.lead_in - _early(flights[0])), 1), max(round(part.lead_out - _late(flights[-1])), 1))
+    # Runs are caught on the first orbit for at least one period. On the last one they settle for a period after the
+    # flight, and are judged on the next.
+    leads = (max(round(part.lead_in - _early(flights[0])), 1), max(round(part.lead_out - _late(flights[-1])), 2))
     counts = [leads[0], *(_periods(a, b) for a, b in pairwise(flights)), leads[1]]
     places = [flights[0].orbits[0], *(flight.orbits[1] for flight in flights)]
     states = [pieces[0].reference.state(0.0), *(p.reference.state(p.reference.duration) for p in pieces)]

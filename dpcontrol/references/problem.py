@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Guess = Callable[[Array], Array]
 """From times (K,) in s to pendulum states (K, 2n): a conservative shadowing orbit."""
 
-PLANNING = 4
+PLANNING = 5
 """Version of the planner, part of the cache keys of references and plans.
 
 Raise it whenever a plan changes: a test of golden plans fails until then.

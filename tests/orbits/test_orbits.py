@@ -1,5 +1,7 @@
 """Equilibria and Lyapunov orbits, against independent values and the structure of Hamiltonian flows."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -120,6 +122,39 @@ def test_the_flow_maps_the_local_manifold_to_itself(orbits, key):
             errors.append(orbit.system.scaled_distance(gap, np.zeros(4)))
         # The manifold is linear to first order, so the error is quadratic in the amplitude.
         assert errors[1] < 0.03 * errors[0] + 1e-13
+
+
+FOLDED = """
+title = "Folded arms"
+system = "arm-chain"
+[arms]
+source = "a long inner arm and a short, light outer one"
+mass = [0.366, 0.136]
+centre_of_mass = [0.214, 0.0472]
+length = [0.316, 0.101]
+inertia = [3.24e-3, 8.14e-5]
+[gravity]
+source = "standard"
+acceleration = 9.81
+[friction]
+source = "none"
+viscous = [0.0, 0.0]
+"""
+IN_SURFACE = 1e-4
+"""Rounding errors of the orbit, times the root of a multiplier of 1e14."""
+
+
+def test_unstable_vectors_lie_in_the_energy_surface_at_any_phase_of_a_very_unstable_orbit(tmp_path: Path) -> None:
+    path = tmp_path / "folded.toml"
+    path.write_text(FOLDED)
+    system = load_model(str(path)).system
+    orbit = lyapunov_orbit(system, "down-up", energy=1.1575)
+    assert orbit.unstable_multiplier > 1e13
+    frame = UnstableManifold(orbit).frame(np.linspace(-1, 1, 41))
+    slopes, vectors = system.numeric.gradient(frame.states) * system.scale, frame.vectors / system.scale
+    # A flow that conserves energy moves no deviation out of the surfaces of equal energy, but that along the gradient.
+    along = np.abs((slopes * vectors).sum(1)) / np.linalg.norm(slopes, axis=1) / np.linalg.norm(vectors, axis=1)
+    assert along.max() < IN_SURFACE
 
 
 SYSTEM = load_model("triple").system

@@ -101,6 +101,12 @@ def test_a_stop_without_room_for_a_period_is_flown_through() -> None:
 
 
 @pytest.mark.slow
+def test_the_last_stay_has_a_period_to_settle_before_the_one_that_is_judged() -> None:
+    short = WALK.format(6).replace("lead_out = 3", "lead_out = 1")
+    assert stays(make_plan(itinerary_from(short, "scene", load_model("lab"))))[-1] == 2
+
+
+@pytest.mark.slow
 def test_ogy_hands_over_to_tvlqr_and_back_with_a_plant_five_per_cent_off(linger: Plan) -> None:
     # The first pulses have no time for zeros.
     loop = replace(linger.itinerary.loop, keep="ogy", estimator=EkfSettings(augment=()))

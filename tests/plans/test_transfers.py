@@ -14,9 +14,10 @@ from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.plans import transfers
-from dpcontrol.plans.authority import sensitivity
+from dpcontrol.plans.authority import peak_gains, sensitivity
 from dpcontrol.plans.itinerary import HoldPart, itinerary_from, load_itinerary
 from dpcontrol.plans.model import load_model
+from dpcontrol.plans.pieces import ways_round
 from dpcontrol.plans.plan import Plan, make_plan
 from dpcontrol.references.reference import Reference
 
@@ -131,6 +132,58 @@ def test_an_itinerary_connects_each_pair_of_equilibria_once(name: str, count: in
     assert len(holds) == len(itinerary.parts) == count + 1
     done = [(a.hold, b.hold) for a, b in pairwise(holds)]
     assert sorted(done) == sorted(permutations(itinerary.model.system.equilibria, 2))
+
+
+def test_two_arms_turn_one_way_or_the_other_at_their_joints_too() -> None:
+    def ways(*apart: float) -> set[tuple[float, ...]]:
+        return {tuple(way.tolist()) for way in ways_round(np.array(apart))}
+
+    # From Up-Down to rest, the outer arm returns to its angle or goes on with the inner arm, half a turn either way.
+    assert ways(-0.5, 0.0) == {(0, 0), (-1, 0), (0, 1), (-1, -1)}
+    # Both arms from rest: the arms' ways contain those of the joints.
+    assert ways(0.5, 0.5) == {(0, 0), (0, 1), (1, 0), (1, 1)}
+    assert len(ways(0.5, 0.0, 0.0)) == 2
+
+
+UNDRIVEN = """
+title = "Arms that the cart cannot move while they are folded"
+system = "arm-chain"
+[arms]
+source = "drawn; the cart cannot move the folded arms: Down-Up needs a gain of 11,000 m/s² per rad"
+mass = [0.183577, 0.220753]
+centre_of_mass = [0.146793, 0.0624256]
+length = [0.412076, 0.147881]
+inertia = [0.00203424, 0.000408717]
+[gravity]
+source = "standard"
+acceleration = 9.81
+[friction]
+source = "drawn"
+viscous = [0.000739782, 7.072e-05]
+"""
+FALL = """
+start = "orbit"
+finish = "rest"
+energy = 1.03388
+walk = ["up-down -"]
+lead_in = 1
+lead_out = 2
+[limits]
+position = 0.718
+velocity = 2.11
+acceleration = 21.6
+"""
+PEAK = 2500.0
+"""m/s² per rad. Falls with folded arms take 30,000 and more."""
+
+
+@pytest.mark.slow
+def test_arms_do_not_fall_folded_if_the_cart_has_no_authority_there(tmp_path: Path) -> None:
+    path = tmp_path / "undriven.toml"
+    path.write_text(UNDRIVEN)
+    model = load_model(str(path))
+    reference = make_plan(itinerary_from(FALL + QUICK, "fall", model)).reference
+    assert peak_gains(model.arms, reference).max() < PEAK
 
 
 @pytest.mark.slow
