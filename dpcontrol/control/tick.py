@@ -116,10 +116,11 @@ _LATE, _VERY_LATE, _LATE_MEMORY = 0.5, 0.75, 5.0
 
 From the first bound on, the estimated variance of the ages can only fall. Beyond the second, it is 0.
 """
-TIMING_PRIOR = 1 / 12
-"""Assumed variance of the readings' age, and standard deviation of this assumption, period².
+TIMING_PRIOR, TIMING_INFORMATION = 1 / 12, 5 * 12**2
+"""Assumed variance of the readings' age, period², and the information in this assumption, period⁻⁴.
 
-It is that of ages spread evenly over a period. So little information lets the variance fall within a few readings.
+The variance is that of ages spread evenly over a period, and the information that of five readings. With that of one,
+the variance falls to 0 after five readings of similar age, and a later one passes for an error of the rates.
 """
 _MOVES = 3.4
 """Standard deviations of a reading that indicate motion of an encoder with play, 0.98 counts without noise."""
@@ -541,7 +542,7 @@ class TickEquations:
         """
         period = self.filter.period
         a, b = aligned * period, weight * period**2
-        timed = m.timed + min(period / TIMING_MEMORY, 1) * (TIMING_PRIOR**-2 - m.timed) + b * b
+        timed = m.timed + min(period / TIMING_MEMORY, 1) * (TIMING_INFORMATION - m.timed) + b * b
         # A reading is never older than a period. A much older appearance is due to a blow, a wrong model or a stuck
         # encoder.
         slope = ca.if_else(ca.fabs(a) <= _OLDEST * b, a * a - b, 0)
@@ -1184,7 +1185,7 @@ class TickProgram:
             "covariance": packed(carried @ self.settings.first_covariance(self.model.arms) @ carried.T),
             "velocity": speed[None], "heading": speed[None], **self.equations.watch.start(velocity, first[n : 2 * n]),
             # An infinite mark is not finite, so the first reading becomes the mark.
-            "timing": TIMING_PRIOR * self.period**2, "timed": TIMING_PRIOR**-2,
+            "timing": TIMING_PRIOR * self.period**2, "timed": TIMING_INFORMATION,
             "moved": np.inf, "mark": np.inf, "drive": sent[1][None],
         }  # fmt: skip
         if self.equations.own is not None:

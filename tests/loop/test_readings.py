@@ -129,3 +129,18 @@ def test_a_reported_age_leaves_the_rates_as_good_as_without_jitter(reference: Re
     )
     assert known < 1.2 * steady
     assert unknown > 1.5 * known
+
+
+LATE_RATE = 0.9
+"""Largest error of a rate in the first 50 ms, rad/s: the filter assumes 0.1 rad/s at the start."""
+
+
+@pytest.mark.slow
+def test_a_late_reading_after_a_few_punctual_ones_is_no_error_of_the_rates() -> None:
+    # The arms start at 7.6 rad/s. In some of these runs, the first readings are by chance of about the same age.
+    settings = replace(UNSTEADY, sensors=SensorSettings(jitter=0.3 * PERIOD), drive=DriveSettings())
+    assembly, errors = Assembly(make_plan(load_itinerary("outer-turn")).reference, LAB, settings), list[float]()
+    for seed in range(9):
+        ticks = assembly.simulate(draw=assembly.draw(seed=seed)).ticks
+        errors.append(float(np.abs(ticks.estimates - ticks.truth)[:50, 2:4].max()))
+    assert max(errors) < LATE_RATE
