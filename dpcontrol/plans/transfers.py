@@ -28,7 +28,7 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.plans.authority import sensitivity
+from dpcontrol.plans.authority import peak_gains, sensitivity
 from dpcontrol.plans.candidates import (
     CART_WEIGHT,
     Way,
@@ -63,6 +63,8 @@ MULTIPLES = np.array([1.3633, 1.8178, 2.2722, 2.7266])
 """Durations of gentle transfers in natural times."""
 SHORTER, LONGER = np.array([1.15, 1.53, 1.91]), np.array([3.5, 4.5])
 """Durations of transfers that are found in none of them."""
+_HARD = 0.01
+"""Angle, rad, at which no gain along a transfer should ask for the whole acceleration."""
 _RANKED = 8
 """Number of motions that are compared, those of the least effort."""
 _COARSE = ReferenceSettings(pendulum_weight=0.0, cart_weight=CART_WEIGHT)
@@ -308,9 +310,13 @@ def _rank(wanted: Transfer, arms: ArmChainParameters, motion: Trajectory) -> flo
     """Return the rank of a solved motion among several, the smallest of which is refined first.
 
     It is the duration for the shortest transfers, otherwise the effort ∫u² times the square of the sensitivity, which
-    is the angles' deviation per relative error of the arms' parameters.
+    is the angles' deviation per relative error of the arms' parameters. Gains that ask for more than the whole
+    acceleration at `_HARD` rad count in proportion, squared.
     """
-    return motion.duration if wanted.pace == SHORTEST else sensitivity(arms, motion) ** 2 * motion.effort
+    if wanted.pace == SHORTEST:
+        return motion.duration
+    excess = peak_gains(arms, motion).max() * _HARD / wanted.limits.acceleration
+    return float((sensitivity(arms, motion) * max(excess, 1.0)) ** 2 * motion.effort)
 
 
 def _problem(
