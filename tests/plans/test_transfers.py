@@ -174,7 +174,7 @@ velocity = 2.11
 acceleration = 21.6
 """
 PEAK = 10_000.0
-"""m/s² per rad. Falls with folded arms take 30,000 and more. One of the milder ways is found with some roundings only."""
+"""m/s² per rad. Falls with folded arms take 30,000 and more. With some roundings, one of the milder ways is not found."""
 
 
 @pytest.mark.slow
