@@ -174,7 +174,7 @@ velocity = 2.11
 acceleration = 21.6
 """
 PEAK = 10_000.0
-"""m/s² per rad. Falls with folded arms take 30,000 and more. With some roundings, one of the milder ways is not found."""
+"""m/s² per rad. Falls with folded arms take 30,000 and more. With some roundings, one milder way is not found."""
 
 
 @pytest.mark.slow
