@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import Compiled
-from dpcontrol.dynamics.equations import Equations, Interpreted
+from dpcontrol.dynamics.equations import Equations, PointCalls
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.shown import Brief
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
@@ -420,9 +420,9 @@ class SampledModel:
         return self._function.factory("plain", self._function.name_in(), [self._function.name_out(0)])
 
     @cached_property
-    def _points(self) -> Interpreted:
+    def _calls(self) -> PointCalls:
         """The step without conversions of its arguments."""
-        return Interpreted(self._plain)
+        return PointCalls(self._plain)
 
     def step(self, state: Array, command: float) -> Array:
         """Return the state (N,) one period later.
@@ -431,7 +431,7 @@ class SampledModel:
             state: state (N,).
             command: constant acceleration of the cart, m/s².
         """
-        call, inputs, following = self._points.points(1)
+        call, inputs, following = self._calls.of(1)
         inputs[0][:], inputs[1][:], inputs[2][:] = state, command, self.parameters
         call()
         return following[0].copy()

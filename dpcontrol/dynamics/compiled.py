@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from dpcontrol.dynamics.equations import Equations, Interpreted
+from dpcontrol.dynamics.equations import Equations, PointCalls
 from dpcontrol.foundation.arrays import Array
-from dpcontrol.foundation.cache import cache_file, compiler_folder, keep, kept, remembered
+from dpcontrol.foundation.cache import cache_file, compiler_folder, keep, kept, load_or_make
 from dpcontrol.foundation.errors import remark
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.parts import Later, installed
@@ -256,14 +256,14 @@ class Compiled:
         if not _HEYOKA:
             return _ByCasadi(self.function)
 
-        def compiled() -> Any:
+        def make() -> Any:
             """Compile the function."""
             variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
             outputs = to_heyoka(self.function, [variables[place] for place in self.slices.values()], switches=True)
             return hy.cfunc(outputs, variables, batch_size=width, force_avx512=True, **self._options)
 
         file = _kept_at(self.function, f"{self.function.name()}-{width}-{self._options['opt_level']}")
-        return compiled() if file is None else remembered(file, compiled)
+        return make() if file is None else load_or_make(file, make)
 
     def __call__(self, inputs: Array, out: Array) -> Array:
         """Evaluate the function into `out`, and return it.
@@ -282,11 +282,11 @@ class _ByCasadi:
 
     def __init__(self, function: ca.Function) -> None:
         symbols = function.sx_in()
-        self._function = Interpreted(ca.Function(function.name(), symbols, [ca.densify(function(*symbols))]))
+        self._calls = PointCalls(ca.Function(function.name(), symbols, [ca.densify(function(*symbols))]))
 
     def __call__(self, inputs: Array, out: Array) -> Array:
         """Evaluate the function as `Compiled` does: inputs (size_in,) or (size_in, S) into `out`, which is returned."""
-        evaluate, arrays, result = self._function.points(1 if inputs.ndim == 1 else inputs.shape[1])
+        evaluate, arrays, result = self._calls.of(1 if inputs.ndim == 1 else inputs.shape[1])
         first = 0
         for array in arrays:
             end = first + array.shape[1]
@@ -346,7 +346,7 @@ def fixed_step(equations: Equations) -> ca.Function:
     """
     # Cached with its machine code because the tableau is in scipy.integrate, which takes long to import.
     key = content_hash(equations.function().serialize(), _VERSION, ca.CasadiMeta.version())
-    return remembered(cache_file("machine-code", "expression", key), partial(_fixed_step, equations))
+    return load_or_make(cache_file("machine-code", "expression", key), partial(_fixed_step, equations))
 
 
 def _fixed_step(equations: Equations) -> ca.Function:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -278,6 +279,10 @@ def hamiltonian_equations(energy: Energy, *, count: int, parameters: ca.SX) -> E
     return Equations(ca.vertcat(q, p), ca.SX.zeros(0), parameters, rate, value, p, mass)
 
 
+_ALIVE: WeakKeyDictionary[Any, tuple[object, ...]] = WeakKeyDictionary()
+"""What each call of `bound_call` works on."""
+
+
 def bound_call(function: ca.Function, inputs: Sequence[Array], outputs: Sequence[Array]) -> Callable[[], None]:
     """Return a call of a function between fixed arrays, without copies.
 
@@ -295,12 +300,12 @@ def bound_call(function: ca.Function, inputs: Sequence[Array], outputs: Sequence
     for k, array in enumerate(outputs):
         buffer.set_res(k, array.data)
     # The buffer holds bare addresses: function and arrays must live as long as the call does.
-    call.alive = function, buffer, inputs, outputs
+    _ALIVE[call] = function, buffer, inputs, outputs
     return call
 
 
-class Interpreted:
-    """A casadi function of dense columns on its interpreter, for one point or many at once.
+class PointCalls:
+    """Calls of a casadi function of dense columns on its interpreter, for one point or many at once.
 
     Args:
         function: function with one dense output.
@@ -311,7 +316,7 @@ class Interpreted:
         # Call, inputs and output by the number of points.
         self._made: dict[int, tuple[Callable[[], None], list[Array], Array]] = {}
 
-    def points(self, count: int) -> tuple[Callable[[], None], list[Array], Array]:
+    def of(self, count: int) -> tuple[Callable[[], None], list[Array], Array]:
         """Return the call that evaluates `count` points, and the arrays on which it works, made once for each count.
 
         The arrays (count, size) are those of the inputs and that of the output.
@@ -340,9 +345,9 @@ class NumericEquations(Brief):
     parameters: Array
 
     @cached_property
-    def _functions(self) -> dict[str, Interpreted]:
+    def _functions(self) -> dict[str, PointCalls]:
         """The functions of `Equations.numeric_functions`, by name."""
-        return {name: Interpreted(function) for name, function in self.equations.numeric_functions.items()}
+        return {name: PointCalls(function) for name, function in self.equations.numeric_functions.items()}
 
     def _call(self, name: str, states: Array, *shape: int) -> Array:
         """Evaluate the named function at states (…, N) and return its outputs with the shape (…, *shape)."""
@@ -350,7 +355,7 @@ class NumericEquations(Brief):
         rows, done = x.reshape(-1, x.shape[-1]), 0
         results = np.empty((len(rows), function.size_out))
         for size in (size for size in _SIZES if size <= len(rows)):
-            call, (state, parameters), output = function.points(size)
+            call, (state, parameters), output = function.of(size)
             parameters[:] = self.parameters
             while done + size <= len(rows):
                 state[:] = rows[done : done + size]

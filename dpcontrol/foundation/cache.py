@@ -96,7 +96,7 @@ def keep(file: Path, content: bytes) -> None:
         unusable(error)
 
 
-def remembered(file: Path, make: Callable[[], Any]) -> Any:
+def load_or_make(file: Path, make: Callable[[], Any]) -> Any:
     """Return the object that is stored under a name, or make it now and store it.
 
     Args:

@@ -22,7 +22,7 @@ from dpcontrol.control.tick import TickProgram, whole_periods
 from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.compiled import VECTOR
-from dpcontrol.foundation.cache import cache_file, remembered
+from dpcontrol.foundation.cache import cache_file, load_or_make
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -47,8 +47,11 @@ from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
-_LAWS = 1
-"""Version of the adaptive controller, part of its cache key: raise it whenever its gains change."""
+LAW = 1
+"""Version of the adaptive controller, part of its cache key.
+
+Raise it whenever its gains change: a test of golden gains fails until then.
+"""
 _PLACES = 100.0
 """Rate of the places of a reference at which a run can be caught, Hz."""
 _HELD = 10.0
@@ -125,18 +128,18 @@ class Assembly:
             GoalMissed: no controller exists for the reference.
         """
         settings, motion = self.settings, self.reference
-        made = partial(
+        make = partial(
             make_controller, motion, self.arms, self.model, settings=settings.controller, estimator=settings.filters,
             keep=settings.keep,
         )  # fmt: skip
         if self.law or not self.cached or not isinstance(settings.controller, AdaptiveSettings):
-            return self.law or made()
+            return self.law or make()
         inputs = (
-            _LAWS, motion.method, motion.limits, self.arms, settings.rate, settings.known_lag, settings.controller,
+            LAW, motion.method, motion.limits, self.arms, settings.rate, settings.known_lag, settings.controller,
             settings.filters,
         )  # fmt: skip
         key = content_hash(repr(inputs), *(array.tobytes() for array in (motion.mesh, motion.states, motion.inputs)))
-        return remembered(cache_file("controllers", "adaptive", key), made)
+        return load_or_make(cache_file("controllers", "adaptive", key), make)
 
     @cached_property
     def fallback(self) -> NearestKeeper | None:

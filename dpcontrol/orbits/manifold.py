@@ -115,7 +115,8 @@ class UnstableManifold(Brief, Generic[Orbit]):
         rounds, turns = np.floor(phases / spacing), np.rint(phases / spacing)
         ahead, base = phases - rounds * spacing, phases - turns * spacing
         states, matrices = system.propagator.sample_with_stm(orbit.state, ahead * orbit.period)
-        states[base < 0], _ = system.propagator.sample_with_stm(orbit.state, base[base < 0] * orbit.period)
+        behind = np.flatnonzero(base < 0)[np.argsort(-base[base < 0])]
+        states[behind] = system.propagator.sample(orbit.state, base[behind] * orbit.period)
         vectors = (matrices @ self.vector) * np.exp(-self.exponent * ahead)[:, None]
         if self.half_turn is not None:
             symmetry, sign = self.half_turn

@@ -63,7 +63,7 @@ MULTIPLES = np.array([1.3633, 1.8178, 2.2722, 2.7266])
 """Durations of gentle transfers in natural times."""
 SHORTER, LONGER = np.array([1.15, 1.53, 1.91]), np.array([3.5, 4.5])
 """Durations of transfers that are found in none of them."""
-_HARD = 0.01
+_FULL_DRIVE_ANGLE = 0.01
 """Angle, rad, at which no gain along a transfer should ask for the whole acceleration."""
 _RANKED = 8
 """Number of motions that are compared, those of the least effort."""
@@ -310,12 +310,12 @@ def _rank(wanted: Transfer, arms: ArmChainParameters, motion: Trajectory) -> flo
     """Return the rank of a solved motion among several, the smallest of which is refined first.
 
     It is the duration for the shortest transfers, otherwise the effort ∫u² times the square of the sensitivity, which
-    is the angles' deviation per relative error of the arms' parameters. Gains that ask for more than the whole
-    acceleration at `_HARD` rad count in proportion, squared.
+    is the angles' deviation per relative error of the arms' parameters. Gains that ask for
+    more than the whole acceleration at `_FULL_DRIVE_ANGLE` count in proportion, squared.
     """
     if wanted.pace == SHORTEST:
         return motion.duration
-    excess = peak_gains(arms, motion).max() * _HARD / wanted.limits.acceleration
+    excess = peak_gains(arms, motion).max() * _FULL_DRIVE_ANGLE / wanted.limits.acceleration
     return float((sensitivity(arms, motion) * max(excess, 1.0)) ** 2 * motion.effort)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dpcontrol.foundation.cache import KINDS, cache_contents, cache_file, keep, kept, remembered
+from dpcontrol.foundation.cache import KINDS, cache_contents, cache_file, keep, kept, load_or_make
 from dpcontrol.foundation.errors import Remark
 
 KEY = "0123456789abcdef"
@@ -38,10 +38,10 @@ def test_content_is_read_back_and_counts_as_absent_if_truncated_changed_or_renam
 
 def test_an_object_is_made_once_and_made_again_if_its_file_cannot_be_read(root: Path) -> None:
     file, made = cache_file("controllers", "law", KEY), iter(({"gain": 1.5}, {"gain": 2.5}))
-    assert remembered(file, lambda: next(made)) == {"gain": 1.5}
-    assert remembered(file, lambda: next(made)) == {"gain": 1.5}
+    assert load_or_make(file, lambda: next(made)) == {"gain": 1.5}
+    assert load_or_make(file, lambda: next(made)) == {"gain": 1.5}
     keep(file, b"no pickle")
-    assert remembered(file, lambda: next(made)) == {"gain": 2.5}
+    assert load_or_make(file, lambda: next(made)) == {"gain": 2.5}
 
 
 def test_without_a_writable_cache_results_are_recomputed_with_one_remark(

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dpcontrol.loop.assembly import LAW
 from dpcontrol.plans.itinerary import load_itinerary
 from dpcontrol.plans.plan import Plan, make_plan, plan_key
 from dpcontrol.references.problem import PLANNING
 from dpcontrol.references.reference import load_reference
+from dpcontrol.runs.run import assembled
 
 
 def test_a_kept_plan_whose_states_were_changed_is_never_served(
@@ -55,3 +57,17 @@ def test_a_plan_is_the_golden_one_of_its_planning_version(name: str) -> None:
     found = [reference.duration, *reference.state(reference.duration / 2)]
     assert PLANNING == 5, "give this version's figures"
     assert found == pytest.approx(GOLDEN[name], abs=SAME), "planning has changed: raise PLANNING, and give its figures"
+
+
+GOLDEN_GAINS = {"gains": 91.367845, "extra_gains": 58.471972, "pair_gains": 234.507587}
+"""rms of each table of the adaptive controller of `outer-turn`, of law version 1."""
+
+
+def test_gains_are_the_golden_ones_of_their_law_version(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path))
+    tables = vars(assembled(plan).controller)
+    found = {name: float(np.sqrt(np.mean(np.square(tables[name])))) for name in ("gains", "extra_gains", "pair_gains")}
+    assert LAW == 1, "give this version's figures"
+    assert found == pytest.approx(GOLDEN_GAINS, rel=1e-5), "gains have changed: raise LAW, and give their figures"
